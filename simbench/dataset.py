@@ -1,0 +1,182 @@
+"""The data that a filter is run on, and the truth behind them where it is known.
+
+Sightings are sparse: the dense (4, M, T) array of the file format exists only while a file is
+read or written.
+"""
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from vislam.arrays import Array, BoolArray, IntArray
+from vislam.types import Belief, Calibration, Noise, State, StereoFrame, Twist
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sightings:
+    """Features by frame.
+
+    Attributes:
+        start: the sightings of frame i stand at start[i] to start[i + 1], shape (T + 1,).
+        ids: landmark index, 0 to M - 1, ascending within a frame, shape (S,).
+        pixels: uL, vL, uR, vR, shape (S, 4). One with only some coordinates at -1 is held, one with all at -1 is not.
+        last: no later frame holds this landmark, shape (S,).
+    """
+
+    start: IntArray
+    ids: IntArray
+    pixels: Array
+    last: BoolArray
+
+    @classmethod
+    def from_frames(cls, frames: list[tuple[IntArray, Array]]) -> "Sightings":
+        """From (ids, pixels) of each frame."""
+        start = np.cumsum([0, *(len(ids) for ids, _ in frames)])
+        ids = np.concatenate([np.empty(0, np.int64), *(ids for ids, _ in frames)])
+        pixels = np.concatenate([np.empty((0, 4)), *(pixels for _, pixels in frames)])
+        return cls(start=start, ids=ids, pixels=pixels, last=_last_of_each(ids))
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+
+def _last_of_each(ids: IntArray) -> BoolArray:
+    """True where an id occurs for the last time."""
+    last = np.zeros(len(ids), bool)
+    _, from_behind = np.unique(ids[::-1], return_index=True)
+    last[len(ids) - 1 - from_behind] = True
+    return last
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RawImu:
+    """Raw inertial readings at their own rate, in the IMU frame; biases where the truth is known.
+
+    Attributes:
+        times_s: shape (N,).
+        gyro: rad/s, shape (N, 3).
+        accel: specific force, m/s^2, shape (N, 3).
+        truth_gyro_bias, truth_accel_bias: shape (N, 3), or None.
+    """
+
+    times_s: Array
+    gyro: Array
+    accel: Array
+    truth_gyro_bias: Array | None = None
+    truth_accel_bias: Array | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Truth:
+    """What the simulator knows.
+
+    Attributes:
+        T_world_imu: poses at the frames, shape (T, 4, 4).
+        landmarks: positions in the world, metres, shape (M, 3).
+        linear_velocity, angular_velocity: the twist of each sample without noise and bias, shape (T, 3).
+        calibration: the true geometry of the sensors.
+    """
+
+    T_world_imu: Array
+    landmarks: Array
+    linear_velocity: Array
+    angular_velocity: Array
+    calibration: Calibration
+
+    def state(self, frame: int) -> State:
+        """The true state at a frame."""
+        return State(
+            T_world_imu=self.T_world_imu[frame],
+            ids=np.arange(len(self.landmarks)),
+            landmarks=self.landmarks,
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Origin:
+    """Where simulated data come from: with these a dataset can be made again, to the byte.
+
+    Attributes:
+        scenario_yaml: the whole scenario, files that it names included.
+        seed: its seed.
+        run: the run number.
+        version: of simbench.
+    """
+
+    scenario_yaml: str
+    seed: int
+    run: int
+    version: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Dataset:
+    """One drive.
+
+    Attributes:
+        name: names the files made from it.
+        times_s: frames and twist samples, increasing, whole nanoseconds, shape (T,).
+        linear_velocity: measured, m/s, IMU frame, held over [t_i, t_i+1), shape (T, 3).
+        angular_velocity: measured, rad/s, IMU frame, shape (T, 3).
+        landmark_count: M; landmark ids are 0 to M - 1.
+        sightings: features by frame, or None where the data have none.
+        calibration: what the filter is told of the geometry; None where a file without features says nothing.
+        noise: what the filter is told of the noise.
+        prior: what the filter is told of the start.
+        gate: probability of the gate that the filter is told to use, or None.
+        imu: raw inertial readings, where there are some.
+        truth: where it is known.
+        origin: of simulated data.
+        notes: what the reader found or chose, in sentences for the user.
+    """
+
+    name: str
+    times_s: Array
+    linear_velocity: Array
+    angular_velocity: Array
+    landmark_count: int
+    sightings: Sightings | None
+    calibration: Calibration
+    noise: Noise
+    prior: Belief
+    gate: float | None = None
+    imu: RawImu | None = None
+    truth: Truth | None = None
+    origin: Origin | None = None
+    notes: tuple[str, ...] = field(default=())
+
+    def __len__(self) -> int:
+        """The number of frames."""
+        return len(self.times_s)
+
+    @cached_property
+    def times_ns(self) -> IntArray:
+        """The times as whole nanoseconds."""
+        return np.rint(self.times_s * 1e9).astype(np.int64)
+
+    def frame(self, i: int) -> StereoFrame:
+        """Frame i as a filter gets it; without features, an empty one."""
+        if self.sightings is None:
+            none = np.empty(0, np.int64)
+            return StereoFrame(
+                time_s=float(self.times_s[i]),
+                ids=none,
+                pixels=np.empty((0, 4)),
+                last=none.astype(bool),
+            )
+        rows = slice(self.sightings.start[i], self.sightings.start[i + 1])
+        return StereoFrame(
+            time_s=float(self.times_s[i]),
+            ids=self.sightings.ids[rows],
+            pixels=self.sightings.pixels[rows],
+            last=self.sightings.last[rows],
+        )
+
+    def twist(self, i: int) -> Twist:
+        """The twist sample of [t_i, t_i+1)."""
+        return Twist(
+            time_s=float(self.times_s[i]),
+            linear=self.linear_velocity[i],
+            angular=self.angular_velocity[i],
+        )

@@ -1,0 +1,40 @@
+"""What a filter is, to everything that runs or judges one."""
+
+from collections.abc import Callable
+from typing import Protocol, TypeAlias, runtime_checkable
+
+from vislam.types import Belief, Innovation, StereoFrame, Task, Twist
+
+
+class Filter(Protocol):
+    """A filter that can be run.
+
+    Calls come in time order: ``update`` of frame 0, ``predict`` over [t_0, t_1), ``update`` of
+    frame 1, and so on. A filter owns its arrays and changes them in place; what it hands out is a
+    snapshot that later calls leave alone.
+
+    Two optional members: a class attribute ``motion = "imu"`` asks for raw `ImuSample`s in place of
+    twists (several a frame); a method ``finish() -> Belief`` is called once, last, by a filter
+    that has something to do at the end, and returns the final belief over all landmarks.
+    """
+
+    def predict(self, motion: Twist, dt: float) -> None:
+        """Move the belief over `dt` seconds."""
+
+    def update(self, frame: StereoFrame) -> Innovation | None:
+        """Take in a frame; None where the filter has no use for one."""
+
+    def belief(self, joint: bool = False) -> Belief:
+        """The present belief: pose and the landmarks still in the state; with `joint` its whole covariance."""
+
+
+@runtime_checkable
+class Finishing(Protocol):
+    """A filter with work at the end."""
+
+    def finish(self) -> Belief:
+        """The final belief, over all landmarks that were ever in the state."""
+
+
+#: Makes a filter from what it is told.
+Factory: TypeAlias = Callable[[Task], Filter]

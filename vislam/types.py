@@ -1,0 +1,251 @@
+"""What passes between a filter and the world.
+
+Frozen, keyword-only dataclasses on plain arrays. A leading ``...`` in a shape stands for an optional
+batch axis: runs that share ids, times and visibility, and differ in their numbers.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal, TypeAlias, get_args
+
+import numpy as np
+
+from vislam.arrays import Array, BoolArray, IntArray
+from vislam.camera import StereoRig
+from vislam.charts import CHARTS, ErrorFunction
+
+ProcessModel: TypeAlias = Literal["additive", "twist", "twist-density"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Twist:
+    """Body velocities, held until the next sample.
+
+    Attributes:
+        time_s: time of the sample.
+        linear: velocity of the IMU in its own frame, m/s, shape (..., 3).
+        angular: rate of the IMU in its own frame, rad/s, shape (..., 3).
+    """
+
+    time_s: float
+    linear: Array
+    angular: Array
+
+    @property
+    def vector(self) -> Array:
+        """The paper's u = [v; omega], shape (..., 6)."""
+        return np.concatenate([self.linear, self.angular], axis=-1)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ImuSample:
+    """Raw inertial readings, held until the next sample.
+
+    Attributes:
+        time_s: time of the sample.
+        gyro: angular rate, rad/s, IMU frame, shape (..., 3).
+        accel: specific force, m/s^2, IMU frame, shape (..., 3); at rest it points up with 9.81.
+    """
+
+    time_s: float
+    gyro: Array
+    accel: Array
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StereoFrame:
+    """The features of one stereo frame, as the tracker delivered them.
+
+    Attributes:
+        time_s: time of the frame.
+        ids: track of each feature, each at most once, shape (n,).
+        pixels: uL, vL, uR, vR, shape (..., n, 4). What is missing is -1 and still here: to skip it is
+            the filter's task.
+        last: whether the data hold no later sighting of the track; all False where the source does
+            not know. Shape (n,).
+    """
+
+    time_s: float
+    ids: IntArray
+    pixels: Array
+    last: BoolArray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Calibration:
+    """What a filter is told of its sensors' geometry.
+
+    Attributes:
+        rig: the stereo pair.
+        T_imu_cam: left optical frame to IMU frame, shape (4, 4).
+    """
+
+    rig: StereoRig
+    T_imu_cam: Array
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Noise:
+    """What a filter is told of its sensors' noise.
+
+    Attributes:
+        process_model: what `process` is the covariance of.
+            `twist`: of a twist sample's noise n, u = u_true + n, the same for any interval.
+            `twist-density`: n ~ N(0, process / tau) over an interval tau.
+            `additive`: of the pose's error of one step, T+ = T exp(tau u^) exp(w^), the paper's W.
+        process: covariance in (rho, phi) order, shape (6, 6).
+        sigma_px: standard deviations of uL, vL, uR, vR, shape (4,).
+    """
+
+    process_model: ProcessModel
+    process: Array
+    sigma_px: Array
+
+    def __post_init__(self) -> None:
+        """Refuse what is no noise."""
+        if self.process_model not in get_args(ProcessModel):
+            raise ValueError(
+                f"Expected `process_model` to be one of {get_args(ProcessModel)}, "
+                f"got {self.process_model!r}."
+            )
+        if np.shape(self.process) != (6, 6):
+            raise ValueError(f"Expected `process` of shape (6, 6), got {np.shape(self.process)}.")
+        if np.shape(self.sigma_px) != (4,) or not np.all(np.asarray(self.sigma_px) > 0):
+            raise ValueError(f"Expected four positive `sigma_px`, got {self.sigma_px}.")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class State:
+    """A pose and a map: the truth, or an estimate without its uncertainty.
+
+    Attributes:
+        T_world_imu: shape (..., 4, 4).
+        ids: landmark ids in ascending order, shape (m,).
+        landmarks: positions in the world, metres, shape (..., m, 3).
+    """
+
+    T_world_imu: Array
+    ids: IntArray
+    landmarks: Array
+
+
+def _no_ids() -> IntArray:
+    return np.empty(0, np.int64)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Belief:
+    """A snapshot of what a filter holds true, and how surely.
+
+    Attributes:
+        T_world_imu: estimated pose, shape (..., 4, 4).
+        pose_covariance: of the pose's error, shape (..., 6, 6); None where the pose is not estimated.
+        ids: landmarks in the order of the arrays below, shape (m,).
+        landmarks: their positions in the world, metres, shape (..., m, 3).
+        landmark_covariances: of each alone, shape (..., m, 3, 3).
+        joint_covariance: of the whole error vector, pose first, shape (..., 6 + 3m, 6 + 3m), or
+            (..., 3m, 3m) where the pose is not estimated. None where it was not asked for.
+        chart: the chart of the error: a name in `vislam.charts.CHARTS`, or an error function.
+    """
+
+    T_world_imu: Array
+    pose_covariance: Array | None = None
+    ids: IntArray = field(default_factory=_no_ids)
+    landmarks: Array = field(default_factory=lambda: np.empty((0, 3)))
+    landmark_covariances: Array = field(default_factory=lambda: np.empty((0, 3, 3)))
+    joint_covariance: Array | None = None
+    chart: str | ErrorFunction = "right"
+
+    def error(self, truth: State) -> Array:
+        """The error vector in this belief's chart, in the order of its joint covariance.
+
+        Args:
+            truth: the true state; it must know every landmark of `ids`.
+
+        Returns:
+            Shape (..., 6 + 3m), or (..., 3m) where the pose is not estimated.
+
+        Raises:
+            KeyError: the truth lacks a landmark of this belief.
+        """
+        place = np.searchsorted(truth.ids, self.ids)
+        place = np.minimum(place, max(len(truth.ids) - 1, 0))
+        if len(self.ids) and not np.array_equal(truth.ids[place], self.ids):
+            raise KeyError(
+                f"The truth lacks landmarks {np.setdiff1d(self.ids, truth.ids).tolist()}."
+            )
+        e = self._error(self.landmarks, truth.T_world_imu, truth.landmarks[..., place, :])
+        return e if self.pose_covariance is not None else e[..., 6:]
+
+    def pose_error(self, T_world_imu: Array) -> Array:
+        """The error of the pose alone in this belief's chart, shape (..., 6)."""
+        none = np.empty((*self.T_world_imu.shape[:-2], 0, 3))
+        return self._error(none, T_world_imu, none)
+
+    def _error(self, landmarks: Array, true_T: Array, true_landmarks: Array) -> Array:
+        function = CHARTS[self.chart].error if isinstance(self.chart, str) else self.chart
+        return function(self.T_world_imu, landmarks, true_T, true_landmarks)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Innovation:
+    """What one frame's features had to say, before they changed the belief.
+
+    The whitened residual of an accepted sighting has four numbers: three that the state explains,
+    decorrelated over the frame, and (vL - vR) over its sigma; with a right filter all are
+    independent standard normal.
+
+    Attributes:
+        ids: known landmarks with a valid sighting, whose residual was tested, shape (k,).
+        residual: measured minus predicted pixels, shape (..., k, 4).
+        whitened: zero where the gate refused, shape (..., k, 4).
+        accepted: what the gate let pass, shape (..., k).
+        born: ids that entered the map by this frame, shape (b,).
+        skipped: ids of invalid features that were not all -1, shape (s,).
+    """
+
+    ids: IntArray
+    residual: Array
+    whitened: Array
+    accepted: BoolArray
+    born: IntArray = field(default_factory=_no_ids)
+    skipped: IntArray = field(default_factory=_no_ids)
+
+    @property
+    def nis(self) -> Array:
+        """Normalised innovation squared of the accepted sightings, shape (...)."""
+        return np.square(self.whitened).sum(axis=(-2, -1))
+
+    @property
+    def dof(self) -> IntArray:
+        """Its degrees of freedom, 4 for each accepted sighting, shape (...)."""
+        return 4 * np.count_nonzero(self.accepted, axis=-1)
+
+    @property
+    def rejected(self) -> IntArray:
+        """How many the gate refused, shape (...)."""
+        return len(self.ids) - np.count_nonzero(self.accepted, axis=-1)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Task:
+    """All that a filter is told before it starts; a factory takes one and returns a filter.
+
+    Attributes:
+        calibration: geometry of the sensors.
+        noise: their noise.
+        prior: the initial pose and its covariance, and a known map where there is one.
+        gate: probability of the chi-square gate, or None for no gate.
+        trajectory: the true poses at the frames, for a filter that takes the trajectory as given,
+            shape (T, 4, 4); None where nobody knows them.
+        rng: for a filter that needs chance.
+        options: further settings by name.
+    """
+
+    calibration: Calibration
+    noise: Noise
+    prior: Belief
+    gate: float | None = None
+    trajectory: Array | None = None
+    rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
+    options: Mapping[str, Any] = field(default_factory=dict)
