@@ -13,7 +13,7 @@ from vislam.arrays import Array, BoolArray, IntArray
 
 
 class BehindCamera(ValueError):
-    """Points that are not in front of the camera; `indices` says which (n, batch axes flattened)."""
+    """Points that are not in front of the camera; `indices` says which, batch axes flattened."""
 
     def __init__(self, indices: IntArray, min_depth_m: float) -> None:
         """Keep the indices and say what was expected."""
@@ -29,7 +29,7 @@ class Validity(IntEnum):
 
     VALID = 0
     UNSEEN = 1  #: all four coordinates are -1
-    PARTIAL = 2  #: some coordinates are -1 or not a number
+    PARTIAL = 2  #: some coordinates are -1 or not finite
     BEHIND = 3  #: disparity zero or negative: no point in front of the rig
     FAR = 4  #: disparity below the rig's minimum
     OUTSIDE = 5  #: outside the image
@@ -168,24 +168,25 @@ def d_triangulate_d_pixels(rig: StereoRig, pixels: Array) -> Array:
 
 
 def validity(rig: StereoRig, pixels: Array) -> IntArray:
-    """A `Validity` for each feature, shape (..., n, 4) to (..., n); the first that applies, in order.
+    """A `Validity` for each feature, shape (..., n, 4) to (..., n): the first that applies.
 
     A pixel centre has whole coordinates, so the image spans 0 to width - 1 and 0 to height - 1.
     """
     pixels = np.asarray(pixels, float)
     missing = pixels == -1
-    disparity = pixels[..., 0] - pixels[..., 2]
-    outside = np.zeros(pixels.shape[:-1], bool)
+    incomplete = missing | ~np.isfinite(pixels)
+    uL, _, uR, _ = np.moveaxis(np.where(incomplete, 0.0, pixels), -1, 0)
+    disparity = uL - uR
+    outside = np.zeros(pixels.shape, bool)
     if rig.image_px is not None:
-        limit = np.array([*rig.image_px, *rig.image_px]) - 1
-        outside = ((pixels < 0) | (pixels > limit)).any(axis=-1)
+        outside = (pixels < 0) | (pixels > np.array([*rig.image_px, *rig.image_px]) - 1)
     return np.select(
         [
             missing.all(axis=-1),
-            (missing | ~np.isfinite(pixels)).any(axis=-1),
+            incomplete.any(axis=-1),
             disparity <= 0,
             disparity < rig.min_disparity_px,
-            outside,
+            outside.any(axis=-1),
         ],
         [
             Validity.UNSEEN,

@@ -51,11 +51,11 @@ def _left_retract(T_hat: Array, m_hat: Array, e: Array) -> tuple[Array, Array]:
 
 
 def _stack(xi: Array, f: Array) -> Array:
-    return np.concatenate([xi, f.reshape(*f.shape[:-2], -1)], axis=-1)
+    return np.concatenate([xi, f.reshape(*f.shape[:-2], 3 * f.shape[-2])], axis=-1)
 
 
 def _landmark_part(e: Array) -> Array:
-    return e[..., 6:].reshape(*e.shape[:-1], -1, 3)
+    return e[..., 6:].reshape(*e.shape[:-1], e.shape[-1] // 3 - 2, 3)
 
 
 RIGHT = Chart("right", _right_error, _right_retract)

@@ -1,7 +1,7 @@
 """What passes between a filter and the world.
 
-Frozen, keyword-only dataclasses on plain arrays. A leading ``...`` in a shape stands for an optional
-batch axis: runs that share ids, times and visibility, and differ in their numbers.
+Frozen, keyword-only dataclasses on plain arrays. A leading ``...`` in a shape stands for an
+optional batch axis: runs that share ids, times and visibility, and differ in their numbers.
 """
 
 from collections.abc import Mapping
@@ -59,8 +59,8 @@ class StereoFrame:
     Attributes:
         time_s: time of the frame.
         ids: track of each feature, each at most once, shape (n,).
-        pixels: uL, vL, uR, vR, shape (..., n, 4). What is missing is -1 and still here: to skip it is
-            the filter's task.
+        pixels: uL, vL, uR, vR, shape (..., n, 4). What is missing is -1 and still here: to skip it
+            is the filter's task.
         last: whether the data hold no later sighting of the track; all False where the source does
             not know. Shape (n,).
     """
@@ -139,7 +139,8 @@ class Belief:
 
     Attributes:
         T_world_imu: estimated pose, shape (..., 4, 4).
-        pose_covariance: of the pose's error, shape (..., 6, 6); None where the pose is not estimated.
+        pose_covariance: of the pose's error, shape (..., 6, 6); None where the pose is not
+            estimated.
         ids: landmarks in the order of the arrays below, shape (m,).
         landmarks: their positions in the world, metres, shape (..., m, 3).
         landmark_covariances: of each alone, shape (..., m, 3, 3).
@@ -168,18 +169,16 @@ class Belief:
         Raises:
             KeyError: the truth lacks a landmark of this belief.
         """
+        if len(missing := np.setdiff1d(self.ids, truth.ids)):
+            raise KeyError(f"The truth lacks landmarks {missing.tolist()}.")
         place = np.searchsorted(truth.ids, self.ids)
-        place = np.minimum(place, max(len(truth.ids) - 1, 0))
-        if len(self.ids) and not np.array_equal(truth.ids[place], self.ids):
-            raise KeyError(
-                f"The truth lacks landmarks {np.setdiff1d(self.ids, truth.ids).tolist()}."
-            )
         e = self._error(self.landmarks, truth.T_world_imu, truth.landmarks[..., place, :])
         return e if self.pose_covariance is not None else e[..., 6:]
 
     def pose_error(self, T_world_imu: Array) -> Array:
         """The error of the pose alone in this belief's chart, shape (..., 6)."""
-        none = np.empty((*self.T_world_imu.shape[:-2], 0, 3))
+        batch = np.broadcast_shapes(self.T_world_imu.shape[:-2], T_world_imu.shape[:-2])
+        none = np.empty((*batch, 0, 3))
         return self._error(none, T_world_imu, none)
 
     def _error(self, landmarks: Array, true_T: Array, true_landmarks: Array) -> Array:
@@ -214,17 +213,20 @@ class Innovation:
     @property
     def nis(self) -> Array:
         """Normalised innovation squared of the accepted sightings, shape (...)."""
-        return np.square(self.whitened).sum(axis=(-2, -1))
+        nis: Array = np.square(self.whitened).sum(axis=(-2, -1))
+        return nis
 
     @property
     def dof(self) -> IntArray:
         """Its degrees of freedom, 4 for each accepted sighting, shape (...)."""
-        return 4 * np.count_nonzero(self.accepted, axis=-1)
+        dof: IntArray = 4 * np.count_nonzero(self.accepted, axis=-1)
+        return dof
 
     @property
     def rejected(self) -> IntArray:
         """How many the gate refused, shape (...)."""
-        return len(self.ids) - np.count_nonzero(self.accepted, axis=-1)
+        rejected: IntArray = np.count_nonzero(~self.accepted, axis=-1)
+        return rejected
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

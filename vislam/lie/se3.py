@@ -31,13 +31,13 @@ def vee(xi_hat: Array) -> Array:
 
 
 def ad(xi: Array) -> Array:
-    """The 6x6 matrix [phi^, rho^; 0, phi^] (the paper's u check), with Ad(exp(xi)) = expm(ad(xi))."""
+    """The paper's u check, [phi^, rho^; 0, phi^], shape (..., 6, 6); Ad of exp is expm of ad."""
     xi = np.asarray(xi, float)
     return _block_triangular(so3.hat(xi[..., 3:]), so3.hat(xi[..., :3]))
 
 
 def exp(xi: Array) -> Array:
-    """The motion exp(xi^): rotation exp(phi^), translation J_l(phi) rho (Barfoot 7.32)."""
+    """The motion of a tangent vector: R = exp phi^ and t = J_l rho (Barfoot 7.32)."""
     xi = np.asarray(xi, float)
     _, c1, c2, c3 = _coefficients(xi, 3)
     phi_hat = so3.hat(xi[..., 3:])
@@ -103,7 +103,7 @@ def random(
 
 
 def odot(points: Array) -> Array:
-    """The 3x6 matrix [I, -s^] of each point: xi^ (s, 1) = odot(s) xi, without the zero row."""
+    """The 3x6 matrix [I, -s^] of each point s, with xi^ (s, 1) = (s^odot xi, 0)."""
     out = np.empty((*points.shape, 6))
     out[..., :3] = so3.IDENTITY
     out[..., 3:] = -so3.hat(points)

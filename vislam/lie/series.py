@@ -7,15 +7,15 @@ import numpy as np
 from vislam.arrays import Array
 
 _SERIES_BELOW = 1.0  # rad; the quotients have lost at most two digits there
-_TERMS = 9  # the first term left out is below 1 / 19!, 8e-18
+_TERMS = 9  # the first term left out is at most 1 / 18!, 2e-16
 
 
 def stumpff(angle: Array, highest: int) -> list[Array]:
     """Stumpff functions c_0 to c_highest of an angle, c_k = sum_i (-1)^i angle^2i / (2i + k)!.
 
-    c_0 = cos, c_1 = sin / angle, and c_k+2 = (1 / k! - c_k) / angle^2: so c_2 = (1 - cos) / angle^2,
-    c_3 = (angle - sin) / angle^3, and so on. That recursion cancels near zero, where the series
-    itself is summed; relative error below 1e-13 on both sides.
+    c_0 = cos, c_1 = sin / angle, and c_k+2 = (1 / k! - c_k) / angle^2: so c_2 is
+    (1 - cos) / angle^2, c_3 is (angle - sin) / angle^3, and so on. That recursion cancels near
+    zero, where the series itself is summed; relative error below 1e-13 on both sides.
 
     Args:
         angle: radians, not negative, any shape.

@@ -60,7 +60,8 @@ def log(R: Array) -> Array:
     sine = np.linalg.norm(quaternion[..., 1:], axis=-1)
     half_angle = np.arctan2(sine, quaternion[..., 0])
     ratio = np.divide(2 * half_angle, sine, out=np.full_like(sine, 2.0), where=sine > 0)
-    return ratio[..., None] * quaternion[..., 1:]
+    phi: Array = ratio[..., None] * quaternion[..., 1:]
+    return phi
 
 
 def inverse(R: Array) -> Array:
