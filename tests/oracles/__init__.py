@@ -1,0 +1,1 @@
+"""Independent witnesses: slow, plain, and sharing no code with what they judge."""
