@@ -1,4 +1,4 @@
-"""EKF-SLAM straight from the paper's formulas (III.C), dense and slow: the judge of the real filter.
+"""EKF-SLAM straight from the paper (III.C), dense and slow: the judge of the real filter.
 
 The whole state, one pose and every landmark ever born, in one covariance; 4x4 matrices; every
 exponential by `scipy.linalg.expm`; every feature with its four pixel rows; births by numerically
