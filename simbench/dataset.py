@@ -20,7 +20,8 @@ class Sightings:
     Attributes:
         start: the sightings of frame i stand at start[i] to start[i + 1], shape (T + 1,).
         ids: landmark index, 0 to M - 1, ascending within a frame, shape (S,).
-        pixels: uL, vL, uR, vR, shape (S, 4). One with only some coordinates at -1 is held, one with all at -1 is not.
+        pixels: uL, vL, uR, vR, shape (S, 4). One with only some coordinates at -1 is held, one with
+            all at -1 is not.
         last: no later frame holds this landmark, shape (S,).
     """
 
@@ -74,7 +75,8 @@ class Truth:
     Attributes:
         T_world_imu: poses at the frames, shape (T, 4, 4).
         landmarks: positions in the world, metres, shape (M, 3).
-        linear_velocity, angular_velocity: the twist of each sample without noise and bias, shape (T, 3).
+        linear_velocity, angular_velocity: the twist of each sample without noise and bias, shape
+            (T, 3).
         calibration: the true geometry of the sensors.
     """
 
@@ -121,7 +123,8 @@ class Dataset:
         angular_velocity: measured, rad/s, IMU frame, shape (T, 3).
         landmark_count: M; landmark ids are 0 to M - 1.
         sightings: features by frame, or None where the data have none.
-        calibration: what the filter is told of the geometry; None where a file without features says nothing.
+        calibration: what the filter is told of the geometry; None where a file without features
+            says nothing.
         noise: what the filter is told of the noise.
         prior: what the filter is told of the start.
         gate: probability of the gate that the filter is told to use, or None.

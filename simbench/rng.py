@@ -9,7 +9,8 @@ def stream(seed: int, run: int, *name: str | int) -> np.random.Generator:
     """The generator of one purpose.
 
     Streams of different seeds, runs or names are independent; equal ones are equal on every
-    machine. ``stream(seed, run, "camera.noise", frame)``: adding a draw elsewhere changes nothing here.
+    machine. ``stream(seed, run, "camera.noise", frame)``: adding a draw elsewhere changes nothing
+    here.
 
     Args:
         seed: of the scenario.

@@ -3,7 +3,7 @@
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import ParamSpec, TypeVar
+from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
 
@@ -60,7 +60,8 @@ class RunRecord:
     def pose_covariances(self) -> Array | None:
         """Their covariances, shape (T, 6, 6); None where the filter does not estimate the pose."""
         covariances = [step.belief.pose_covariance for step in self.steps]
-        return None if any(P is None for P in covariances) else np.stack(covariances)
+        known = [P for P in covariances if P is not None]
+        return np.stack(known) if len(known) == len(covariances) else None
 
     @property
     def pose_errors(self) -> Array | None:
@@ -107,7 +108,8 @@ def run(
     """
     watch = _Watch()
     filter_ = watch("start", factory, task_of(dataset))
-    motions = _imu_motions if getattr(filter_, "motion", "twist") == "imu" else _twist_motions
+    predict: Callable[[Any, float], None] = filter_.predict
+    raw = getattr(filter_, "motion", "twist") == "imu"
     steps = []
     for i in range(len(dataset)):
         innovation = watch(f"update {i}", filter_.update, dataset.frame(i))
@@ -117,12 +119,11 @@ def run(
         steps.append(step)
         on_step(step)
         if i + 1 < len(dataset):
-            for motion, dt in motions(dataset, i):
-                watch(f"predict {i}", filter_.predict, motion, dt)
+            for motion, dt in _motions(dataset, i, raw):
+                watch(f"predict {i}", predict, motion, dt)
+    final = steps[-1].belief
     if isinstance(filter_, Finishing):
         final = watch("finish", filter_.finish)
-    else:
-        final = steps[-1].belief
     return RunRecord(
         dataset=dataset, filter=name, steps=tuple(steps), final=final, wall_s=watch.total_s
     )
@@ -154,9 +155,12 @@ def _checked(i: int, belief: Belief) -> Belief:
     return belief
 
 
-def _twist_motions(dataset: Dataset, i: int) -> Iterator[tuple[Twist, float]]:
-    """The one twist sample from frame i to the next."""
-    yield dataset.twist(i), float(dataset.times_s[i + 1] - dataset.times_s[i])
+def _motions(dataset: Dataset, i: int, raw: bool) -> Iterator[tuple[Twist | ImuSample, float]]:
+    """What a filter is fed from frame i to the next: the twist sample, or the raw ones."""
+    if raw:
+        yield from _imu_motions(dataset, i)
+    else:
+        yield dataset.twist(i), float(dataset.times_s[i + 1] - dataset.times_s[i])
 
 
 def _imu_motions(dataset: Dataset, i: int) -> Iterator[tuple[ImuSample, float]]:

@@ -25,7 +25,7 @@ class Filter(Protocol):
         """Take in a frame; None where the filter has no use for one."""
 
     def belief(self, joint: bool = False) -> Belief:
-        """The present belief: pose and the landmarks still in the state; with `joint` its whole covariance."""
+        """Pose and the landmarks still in the state; with `joint` the whole covariance."""
 
 
 @runtime_checkable

@@ -1,0 +1,176 @@
+"""The motion and the stereo model: what the paper's estimators share, in the right chart.
+
+Each function is one formula; a filter variant takes another in its place
+(`vislam.filters.slam.Parts`).
+"""
+
+import numpy as np
+
+from vislam import camera
+from vislam.arrays import Array, BoolArray
+from vislam.camera import Validity
+from vislam.gaussian import gate_threshold, transposed
+from vislam.lie import se3, so3
+from vislam.types import Calibration, Noise, Twist
+
+SIGHTING_DOF = 4
+
+
+def moved(T: Array, motion: Twist, dt: float) -> Array:
+    """T_t+1 = T_t exp(tau u^), the paper's III.A.2; poses (..., 4, 4)."""
+    return T @ se3.exp(dt * motion.vector)
+
+
+def transition(T: Array, T_next: Array) -> Array:
+    """F = Ad(T_t+1^-1 T_t) = exp(-tau u check), shape (..., 6, 6).
+
+    Written by the poses between which the error moves, so that first estimates can take their
+    place.
+    """
+    return se3.adjoint(se3.inverse(T_next) @ T)
+
+
+def process_noise(noise: Noise, motion: Twist, dt: float) -> Array:
+    """The covariance that one step adds to the pose, shape (..., 6, 6).
+
+    `additive`: the paper's constant W. `twist`: tau^2 J_r(tau u) Sigma_u J_r^T, from
+    exp(tau (u - n)^) = exp(tau u^) exp(-(tau J_r n)^) to first order; `twist-density`: with
+    Sigma_u = Sigma_c / tau.
+    """
+    if noise.process_model == "additive":
+        return noise.process
+    J = se3.right_jacobian(dt * motion.vector)
+    scale = dt if noise.process_model == "twist-density" else dt * dt
+    return scale * (J @ noise.process @ transposed(J))
+
+
+def valid(calibration: Calibration, pixels: Array) -> BoolArray:
+    """Which features can be used, in every run of a batch, shape (..., n, 4) to (n,)."""
+    return _in_all_runs(camera.validity(calibration.rig, pixels) == Validity.VALID)
+
+
+def unseen(pixels: Array) -> BoolArray:
+    """Which features are -1 throughout: no sighting at all, shape (..., n, 4) to (n,)."""
+    return _in_all_runs(np.all(pixels == -1, axis=-1))
+
+
+def to_imu(T: Array, landmarks: Array) -> Array:
+    """The points s = T^-1 m, landmarks of the world in the IMU frame, shape (..., m, 3)."""
+    return (landmarks - T[..., None, :3, 3]) @ T[..., :3, :3]
+
+
+def to_cam(calibration: Calibration, s: Array) -> Array:
+    """The points q = cTi s, those of the IMU frame in the left optical frame, shape (..., m, 3)."""
+    return to_imu(calibration.T_imu_cam, s)
+
+
+def residuals(calibration: Calibration, T: Array, landmarks: Array, pixels: Array) -> Array:
+    """Measured minus predicted pixels, z - K_s pi(cTi T^-1 m), shape (..., k, 4).
+
+    NaN where a landmark lies behind the camera in some run of a batch: nothing can be said of it.
+    """
+    q = to_cam(calibration, to_imu(T, landmarks))
+    front = _in_all_runs(camera.in_front(q))
+    out = np.full(np.broadcast_shapes(pixels.shape, (*q.shape[:-1], 4)), np.nan)
+    out[..., front, :] = pixels[..., front, :] - camera.project(calibration.rig, q[..., front, :])
+    return out
+
+
+def observation_jacobians(
+    calibration: Calibration, T: Array, landmarks: Array
+) -> tuple[Array, Array]:
+    """Derivatives of the pixels by the pose's error and by the landmark.
+
+    H_map = K_s dpi/dq cTi T^-1 P^T and H_pose = -K_s dpi/dq cTi (T^-1 m)^odot, the paper's III.C.5.
+
+    Returns:
+        H_pose of shape (..., m, 4, 6) and H_map of shape (..., m, 4, 3).
+    """
+    s = to_imu(T, landmarks)
+    d_pixel_d_s = camera.d_project_d_point(calibration.rig, to_cam(calibration, s)) @ so3.inverse(
+        calibration.T_imu_cam[:3, :3]
+    )
+    H_pose = -d_pixel_d_s @ se3.odot(s)
+    H_map = d_pixel_d_s @ so3.inverse(T[..., None, :3, :3])
+    return H_pose, H_map
+
+
+def whitening(noise: Noise) -> Array:
+    """The 4x4 matrix that makes a residual's noise standard normal and gathers it in three rows.
+
+    vL and vR have one Jacobian, so all the information is in (uL, v, uR), v the mean of vL and vR
+    by inverse variance, each over its sigma; the fourth row, (vL - vR) over its sigma, is pure
+    noise.
+    """
+    uL, vL, uR, vR = noise.sigma_px
+    v = vL * vR / np.hypot(vL, vR)
+    W = np.zeros((4, 4))
+    W[0, 0] = 1 / uL
+    W[1, 1], W[1, 3] = v / vL**2, v / vR**2
+    W[2, 2] = 1 / uR
+    W[3, 1], W[3, 3] = np.array([1, -1]) / np.hypot(vL, vR)
+    return W
+
+
+def finite(residual: Array) -> BoolArray:
+    """Which residuals there are, in every run of a batch, shape (..., k, 4) to (k,)."""
+    return _in_all_runs(np.all(np.isfinite(residual), axis=-1))
+
+
+def gate(distance_squared: Array, probability: float) -> BoolArray:
+    """Which sightings to accept, by squared Mahalanobis distance with 4 degrees of freedom."""
+    return distance_squared <= gate_threshold(probability, SIGHTING_DOF)
+
+
+def triangulated(calibration: Calibration, pixels: Array) -> Array:
+    """The points of features in the IMU frame, shape (..., n, 4) to (..., n, 3)."""
+    return se3.apply(calibration.T_imu_cam, camera.triangulate(calibration.rig, pixels))
+
+
+def inverse_observation(
+    calibration: Calibration, noise: Noise, T: Array, T_linear: Array, pixels: Array
+) -> tuple[Array, Array, Array]:
+    """New landmarks m = T s from their first sighting, which is spent by that.
+
+    Args:
+        calibration: told geometry.
+        noise: told noise.
+        T: pose, shape (..., 4, 4).
+        T_linear: pose at which the Jacobian is taken, shape (..., 4, 4).
+        pixels: valid features, shape (..., b, 4).
+
+    Returns:
+        Positions (..., b, 3); G = R [I, -s^], their Jacobian by the pose's error, (..., b, 3, 6);
+        and the covariance J_z R J_z^T that the pixels' noise gives them, (..., b, 3, 3).
+    """
+    s = triangulated(calibration, pixels)
+    G = T_linear[..., None, :3, :3] @ se3.odot(s)
+    R_world_cam = T[..., :3, :3] @ calibration.T_imu_cam[:3, :3]
+    J_z = R_world_cam[..., None, :, :] @ camera.d_triangulate_d_pixels(calibration.rig, pixels)
+    J_z = J_z * noise.sigma_px
+    return se3.apply(T, s), G, J_z @ transposed(J_z)
+
+
+CONSTANT_PRIOR_SIGMA_M = 1.0
+
+
+def constant_prior(
+    calibration: Calibration, noise: Noise, T: Array, T_linear: Array, pixels: Array
+) -> tuple[Array, Array, Array]:
+    """The paper's own start: the triangulated point with a constant covariance of 1 m^2.
+
+    Inconsistent: it claims that the landmark's error has nothing to do with the pose's, nor with
+    its depth. As `inverse_observation` otherwise.
+    """
+    landmarks, G, R = inverse_observation(calibration, noise, T, T_linear, pixels)
+    return (
+        landmarks,
+        np.zeros_like(G),
+        np.broadcast_to(CONSTANT_PRIOR_SIGMA_M**2 * np.eye(3), R.shape),
+    )
+
+
+def _in_all_runs(holds: BoolArray) -> BoolArray:
+    """Whether it holds in every run of a batch, shape (..., n) to (n,)."""
+    together: BoolArray = np.all(holds, axis=tuple(range(holds.ndim - 1)))
+    return together

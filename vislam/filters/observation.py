@@ -1,0 +1,98 @@
+"""One frame's observation of the pose and of k landmarks, before it changes the state.
+
+H has two blocks in each landmark's three rows, for the pose and for that landmark, so H P and H P
+H^T are gathered from the blocks and no row of zeros is ever multiplied.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from vislam.arrays import Array, BoolArray, IntArray
+from vislam.filters.records import MAP, POSE, Correct, diagonal_blocks
+from vislam.gaussian import cholesky, solve_lower, transposed
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Observation:
+    """A whitened residual r = H x + v, v ~ N(0, I), with what the state says of it.
+
+    Attributes:
+        slots: place of each observed landmark among the state's, shape (k,).
+        H_pose: shape (..., k, 3, 6).
+        H_map: shape (..., k, 3, 3).
+        r: shape (..., k, 3).
+        HP: H P, shape (..., 3k, n).
+        S: H P H^T + I, shape (..., 3k, 3k).
+    """
+
+    slots: IntArray
+    H_pose: Array
+    H_map: Array
+    r: Array
+    HP: Array
+    S: Array
+
+    @classmethod
+    def of(
+        cls, P: Array, *, slots: IntArray, H_pose: Array, H_map: Array, r: Array
+    ) -> "Observation":
+        """Work out H P and S for a state of covariance P, shape (..., n, n)."""
+        batch, n, k = P.shape[:-2], P.shape[-1], len(slots)
+        m = (n - 6) // 3
+        rows = P[..., MAP, :].reshape(*batch, m, 3, n)[..., slots, :, :]
+        HP = (H_pose @ P[..., None, POSE, :] + H_map @ rows).reshape(*batch, 3 * k, n)
+        columns = HP[..., MAP].reshape(*batch, 3 * k, m, 3)[..., slots, :]
+        by_landmark = np.moveaxis(columns, -2, -3) @ transposed(H_map)
+        S = np.swapaxes(by_landmark, -3, -2).reshape(*batch, 3 * k, 3 * k)
+        S += HP[..., POSE] @ transposed(H_pose.reshape(*batch, 3 * k, 6))
+        np.einsum("...ii->...i", S)[...] += 1
+        return cls(slots=slots, H_pose=H_pose, H_map=H_map, r=r, HP=HP, S=S)
+
+    def distances(self) -> Array:
+        """Squared Mahalanobis distance of each landmark's three rows alone, shape (..., k)."""
+        blocks = diagonal_blocks(self.S)
+        distances: Array = np.sum(
+            self.r * np.linalg.solve(blocks, self.r[..., None])[..., 0], axis=-1
+        )
+        return distances
+
+    def only(self, accepted: BoolArray) -> "Observation":
+        """What the gate let pass, (..., k): the rest goes, or in a batch turns zero."""
+        if accepted.all():
+            return self
+        rows = np.repeat(accepted, 3, axis=-1)
+        if accepted.ndim == 1:
+            return Observation(
+                slots=self.slots[accepted],
+                H_pose=self.H_pose[accepted],
+                H_map=self.H_map[accepted],
+                r=self.r[accepted],
+                HP=self.HP[rows],
+                S=self.S[np.ix_(rows, rows)],
+            )
+        both = rows[..., :, None] & rows[..., None, :]
+        each = accepted[..., None, None]
+        return Observation(
+            slots=self.slots,
+            H_pose=self.H_pose * each,
+            H_map=self.H_map * each,
+            r=self.r * accepted[..., None],
+            HP=self.HP * rows[..., None],
+            S=np.where(both, self.S, np.eye(self.S.shape[-1])),
+        )
+
+    def correction(self) -> Correct:
+        """The update that it makes."""
+        batch, rows = self.HP.shape[:-2], self.HP.shape[-2]
+        L = cholesky(self.S)
+        r = self.r.reshape(*batch, rows, 1)
+        solved = solve_lower(L, np.concatenate([self.HP, r], axis=-1))
+        return Correct(
+            slots=self.slots,
+            H_pose=self.H_pose.reshape(*batch, rows, 6),
+            H_map=self.H_map,
+            L=L,
+            whitened=solved[..., -1],
+            Y_T=solved[..., :-1],
+        )

@@ -1,0 +1,117 @@
+"""The four ways in which the covariance of an EKF's state changes, each as a record.
+
+The state is x = (pose, landmarks). Every change of its covariance P is one of these, applied by
+`forward`; what judges a filter from inside reads the same records that moved it.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from vislam.arrays import Array, IntArray
+from vislam.gaussian import subtract_gram, symmetrised, transposed
+
+POSE = slice(0, 6)
+MAP = slice(6, None)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Linear:
+    """x_R <- F x_R + w, w ~ N(0, Q): a prediction.
+
+    Attributes:
+        F: shape (..., 6, 6).
+        Q: shape (..., 6, 6).
+    """
+
+    F: Array
+    Q: Array
+
+    def forward(self, P: Array) -> Array:
+        """The covariance afterwards; both cross blocks move with the pose (the paper, III.C.2)."""
+        rows = self.F @ P[..., POSE, :]
+        P = P.copy()
+        P[..., POSE, MAP] = rows[..., MAP]
+        P[..., MAP, POSE] = transposed(rows[..., MAP])
+        P[..., POSE, POSE] = symmetrised(rows[..., POSE] @ transposed(self.F) + self.Q)
+        return P
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Correct:
+    """An update by a whitened observation z = H x + v, v ~ N(0, I), of the pose and k landmarks.
+
+    Attributes:
+        slots: place of each observed landmark among the state's, shape (k,).
+        H_pose: shape (..., 3k, 6).
+        H_map: shape (..., k, 3, 3).
+        L: lower factor of the innovation covariance S = H P H^T + I, shape (..., 3k, 3k).
+        whitened: L^-1 r, shape (..., 3k).
+        Y_T: L^-1 H P, shape (..., 3k, n); the gain is K = Y L^-1.
+    """
+
+    slots: IntArray
+    H_pose: Array
+    H_map: Array
+    L: Array
+    whitened: Array
+    Y_T: Array
+
+    def forward(self, P: Array) -> Array:
+        """(I - K H) P = P - Y Y^T."""
+        return subtract_gram(P, self.Y_T)
+
+    @property
+    def delta(self) -> Array:
+        """K r, shape (..., n)."""
+        return (transposed(self.Y_T) @ self.whitened[..., None])[..., 0]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Augment:
+    """New landmarks m = G x_R + v at the state's end.
+
+    Attributes:
+        G: shape (..., 3b, 6).
+        R: covariance of each landmark's own v, shape (..., b, 3, 3).
+    """
+
+    G: Array
+    R: Array
+
+    def forward(self, P: Array) -> Array:
+        """The larger covariance; landmarks born together correlate through the pose."""
+        n, size = P.shape[-1], P.shape[-1] + self.G.shape[-2]
+        cross = self.G @ P[..., POSE, :]
+        grown = np.empty((*P.shape[:-2], size, size))
+        grown[..., :n, :n] = P
+        grown[..., n:, :n] = cross
+        grown[..., :n, n:] = transposed(cross)
+        grown[..., n:, n:] = symmetrised(cross[..., POSE] @ transposed(self.G))
+        diagonal_blocks(grown[..., n:, n:])[...] += symmetrised(self.R)
+        return grown
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Drop:
+    """Landmarks that leave the state: what stays keeps exactly its covariance.
+
+    Attributes:
+        slots: their places among the state's landmarks, shape (d,).
+    """
+
+    slots: IntArray
+
+    def forward(self, P: Array) -> Array:
+        """The covariance of what stays."""
+        stays = np.ones(P.shape[-1], bool)
+        stays[MAP].reshape(-1, 3)[self.slots] = False
+        rows = np.flatnonzero(stays)
+        return P[..., rows[:, None], rows]
+
+
+def diagonal_blocks(P: Array) -> Array:
+    """The 3x3 blocks on the diagonal of (..., 3m, 3m): a view of shape (..., m, 3, 3)."""
+    m = P.shape[-1] // 3
+    blocks: Array = np.einsum("...iaib->...iab", P.reshape(*P.shape[:-2], m, 3, m, 3))
+    return blocks

@@ -1,0 +1,216 @@
+"""Joint visual-inertial SLAM, the paper's III.C: one covariance over pose and map.
+
+In recorded data the last sighting of a landmark is known. A landmark that will not be seen again
+influences nothing that is still to come, so it leaves the joint covariance there: everything that
+stays is exactly what the full filter has, and the cost of a frame depends on the landmarks in
+sight, not on the size of the map.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from vislam.arrays import Array, BoolArray, IntArray
+from vislam.charts import RIGHT, Chart
+from vislam.filters import model
+from vislam.filters.observation import Observation
+from vislam.filters.records import MAP, POSE, Augment, Correct, Drop, Linear, diagonal_blocks
+from vislam.filters.roster import Retired, slots_of
+from vislam.types import Belief, Calibration, Innovation, Noise, StereoFrame, Task, Twist
+
+
+@dataclass(slots=True)
+class Estimate:
+    """The mutable estimate: pose and living landmarks, and what was first thought of them.
+
+    Attributes:
+        T: pose, shape (..., 4, 4).
+        T_first: the pose as predicted for the present frame.
+        landmarks: shape (..., m, 3).
+        landmarks_first: as they entered the state.
+    """
+
+    T: Array
+    T_first: Array
+    landmarks: Array
+    landmarks_first: Array
+
+
+def at_estimate(x: Estimate) -> tuple[Array, Array]:
+    """Linearise at the present estimate, as the extended Kalman filter does."""
+    return x.T, x.landmarks
+
+
+@dataclass(frozen=True, slots=True)
+class Parts:
+    """The formulas of the recursion. A variant of the filter replaces some, and nothing else.
+
+    The defaults are the paper's; `vislam.filters.model` says what each takes and returns.
+
+    Attributes:
+        chart: error and retraction.
+        linearise: the pose and landmarks at which Jacobians are taken.
+        transition: F, from the linearisation pose and the predicted one.
+        process_noise: what a step adds to the pose's covariance.
+        valid: which features can be used.
+        observation_jacobians: of the pixels by pose and landmark.
+        whitening: of a residual.
+        gate: which sightings to accept.
+        birth: new landmarks, their Jacobian by the pose's error, their own covariance.
+    """
+
+    chart: Chart = RIGHT
+    linearise: Callable[[Estimate], tuple[Array, Array]] = at_estimate
+    transition: Callable[[Array, Array], Array] = model.transition
+    process_noise: Callable[[Noise, Twist, float], Array] = model.process_noise
+    valid: Callable[[Calibration, Array], BoolArray] = model.valid
+    observation_jacobians: Callable[[Calibration, Array, Array], tuple[Array, Array]] = (
+        model.observation_jacobians
+    )
+    whitening: Callable[[Noise], Array] = model.whitening
+    gate: Callable[[Array, float], BoolArray] = model.gate
+    birth: Callable[[Calibration, Noise, Array, Array, Array], tuple[Array, Array, Array]] = (
+        model.inverse_observation
+    )
+
+
+PAPER = Parts()
+
+
+class EkfSlam:
+    """EKF-SLAM on SE(3) with landmarks in R^3.
+
+    The estimate is `x`; `P` is the covariance of its error (pose, landmarks in the order of `ids`),
+    in the chart of `parts`. Every change of `P` is one record of `vislam.filters.records`.
+    """
+
+    def __init__(self, task: Task, parts: Parts = PAPER) -> None:
+        """Start at the prior.
+
+        A known map with a joint covariance starts in the state. One with a covariance for each
+        landmark waits outside, where it costs nothing: a landmark that is independent of the state
+        takes part in no update before it is sighted.
+        """
+        self.calibration, self.noise, self.gate = task.calibration, task.noise, task.gate
+        self.parts = parts
+        self._whitening = parts.whitening(task.noise)
+        self._retired = Retired()
+        self._waiting: dict[int, tuple[Array, Array]] = {}
+
+        prior = task.prior
+        T, batch = prior.T_world_imu, prior.T_world_imu.shape[:-2]
+        if prior.joint_covariance is not None:
+            self.ids, landmarks, P = prior.ids, prior.landmarks, prior.joint_covariance
+        else:
+            self.ids, landmarks = prior.ids[:0], np.empty((*batch, 0, 3))
+            P = np.zeros((6, 6)) if prior.pose_covariance is None else prior.pose_covariance
+            for k, i in enumerate(prior.ids.tolist()):
+                covariance = prior.landmark_covariances[..., k, :, :]
+                self._waiting[i] = prior.landmarks[..., k, :], covariance
+        self.x = Estimate(T=T, T_first=T, landmarks=landmarks, landmarks_first=landmarks)
+        self.P = np.broadcast_to(P, (*batch, *P.shape[-2:])).copy()
+
+    def predict(self, motion: Twist, dt: float) -> None:
+        """Move by the twist, the paper's III.C.2."""
+        x, parts = self.x, self.parts
+        T_linear, _ = parts.linearise(x)
+        T_next = model.moved(x.T, motion, dt)
+        Q = parts.process_noise(self.noise, motion, dt)
+        self._apply(Linear(F=parts.transition(T_linear, T_next), Q=Q))
+        x.T = x.T_first = T_next
+
+    def update(self, frame: StereoFrame) -> Innovation:
+        """Update by the known landmarks, enter new ones, let go of those seen for the last time."""
+        usable = self.parts.valid(self.calibration, frame.pixels)
+        self._admit(frame.ids[usable])
+        slots = slots_of(self.ids, frame.ids)
+        known, new = usable & (slots >= 0), usable & (slots < 0)
+        innovation = self._correct(frame.ids[known], slots[known], frame.pixels[..., known, :])
+        self._give_birth(frame.ids[new], frame.pixels[..., new, :])
+        self._retire(frame.ids[frame.last])
+        skipped = ~usable & ~model.unseen(frame.pixels)
+        return replace(innovation, born=frame.ids[new], skipped=frame.ids[skipped])
+
+    def belief(self, joint: bool = False) -> Belief:
+        """Pose and living landmarks."""
+        return Belief(
+            T_world_imu=self.x.T.copy(),
+            pose_covariance=self.P[..., POSE, POSE].copy(),
+            ids=self.ids.copy(),
+            landmarks=self.x.landmarks.copy(),
+            landmark_covariances=diagonal_blocks(self.P[..., MAP, MAP]).copy(),
+            joint_covariance=self.P.copy() if joint else None,
+            chart=self.parts.chart.name,
+        )
+
+    def finish(self) -> Belief:
+        """Pose and every landmark there was, by ascending id; a retired one as when it left."""
+        return self._retired.joined_to(self.belief())
+
+    def _apply(self, record: Linear | Correct | Augment | Drop) -> None:
+        self.P = record.forward(self.P)
+
+    def _correct(self, ids: IntArray, slots: IntArray, pixels: Array) -> Innovation:
+        """The paper's III.C.5 over the frame's known landmarks; ids (k,), pixels (..., k, 4)."""
+        x, parts, calibration = self.x, self.parts, self.calibration
+        T_linear, landmarks_linear = parts.linearise(x)
+        residual = model.residuals(calibration, x.T, x.landmarks[..., slots, :], pixels)
+        front = np.flatnonzero(model.finite(residual))
+        slots = slots[front]
+        white = residual[..., front, :] @ self._whitening.T
+        H_pose, H_map = parts.observation_jacobians(
+            calibration, T_linear, landmarks_linear[..., slots, :]
+        )
+        rows = self._whitening[:3]
+        observation = Observation.of(
+            self.P, slots=slots, H_pose=rows @ H_pose, H_map=rows @ H_map, r=white[..., :3]
+        )
+        passed = np.ones(white.shape[:-1], bool)
+        if self.gate is not None:
+            passed = parts.gate(observation.distances() + white[..., 3] ** 2, self.gate)
+        correction = observation.only(passed).correction()
+        self._apply(correction)
+        x.T, x.landmarks = parts.chart.retract(x.T, x.landmarks, correction.delta)
+
+        kept = front[passed] if passed.ndim == 1 else front
+        whitened = np.zeros(pixels.shape)
+        whitened[..., kept, :3] = correction.whitened.reshape(*passed.shape[:-1], -1, 3)
+        whitened[..., front, 3] = white[..., 3] * passed
+        accepted = np.zeros(pixels.shape[:-1], bool)
+        accepted[..., front] = passed
+        return Innovation(ids=ids, residual=residual, whitened=whitened, accepted=accepted)
+
+    def _give_birth(self, ids: IntArray, pixels: Array) -> None:
+        """Enter new landmarks by their first sighting, at the updated pose."""
+        T_linear, _ = self.parts.linearise(self.x)
+        self._enter(
+            ids, *self.parts.birth(self.calibration, self.noise, self.x.T, T_linear, pixels)
+        )
+
+    def _admit(self, ids: IntArray) -> None:
+        """Let landmarks of the known map into the state that are sighted for the first time."""
+        known = [i for i in ids.tolist() if i in self._waiting]
+        if known:
+            landmarks, covariances = zip(*(self._waiting.pop(i) for i in known), strict=True)
+            no_pose = np.zeros((*self.x.T.shape[:-2], len(known), 3, 6))
+            R = np.stack(covariances, axis=-3)
+            self._enter(np.array(known), np.stack(landmarks, axis=-2), no_pose, R)
+
+    def _enter(self, ids: IntArray, landmarks: Array, G: Array, R: Array) -> None:
+        x = self.x
+        self._apply(Augment(G=G.reshape(*G.shape[:-3], 3 * len(ids), 6), R=R))
+        self.ids = np.concatenate([self.ids, ids])
+        x.landmarks = np.concatenate([x.landmarks, landmarks], axis=-2)
+        x.landmarks_first = np.concatenate([x.landmarks_first, landmarks], axis=-2)
+
+    def _retire(self, ids: IntArray) -> None:
+        """Take landmarks that will not be seen again out of the state."""
+        slots = slots_of(self.ids, ids)
+        slots = slots[slots >= 0]
+        x, blocks = self.x, diagonal_blocks(self.P[..., MAP, MAP])
+        self._retired.add(self.ids[slots], x.landmarks[..., slots, :], blocks[..., slots, :, :])
+        self._apply(Drop(slots=slots))
+        self.ids = np.delete(self.ids, slots)
+        x.landmarks = np.delete(x.landmarks, slots, axis=-2)
+        x.landmarks_first = np.delete(x.landmarks_first, slots, axis=-2)

@@ -1,0 +1,90 @@
+"""The linear algebra of a Kalman update, on plain arrays.
+
+The measurement noise is whitened beforehand, so R = I everywhere. One state (n, n) goes straight to
+LAPACK and BLAS; states with batch axes (..., n, n) through numpy's stacked routines.
+"""
+
+import numpy as np
+from scipy.linalg.lapack import dpotrf, dtrtrs
+from scipy.special import chdtri
+
+from vislam.arrays import Array
+
+
+class NotPositiveDefinite(ValueError):
+    """An innovation covariance has lost its definiteness; the state before it was no covariance."""
+
+
+def cholesky(S: Array) -> Array:
+    """The lower L with S = L L^T, shape (..., k, k).
+
+    Raises:
+        NotPositiveDefinite: S is not positive definite, or not finite.
+    """
+    try:
+        return _cholesky_one(S) if S.ndim == 2 else np.asarray(np.linalg.cholesky(S))
+    except np.linalg.LinAlgError as error:
+        raise NotPositiveDefinite(
+            "Expected a positive definite innovation covariance. The state's covariance is not "
+            "positive semidefinite, or not finite: check the prior and the noise that were told."
+        ) from error
+
+
+def _cholesky_one(S: Array) -> Array:
+    L, info = dpotrf(S, lower=1, clean=1)
+    if info or not np.isfinite(L[-1:, -1:]).all():
+        raise np.linalg.LinAlgError
+    return np.asarray(L)
+
+
+def solve_lower(L: Array, X: Array) -> Array:
+    """L^-1 X for a lower triangular L, shapes (..., k, k) and (..., k, n)."""
+    if L.ndim > 2:
+        return np.asarray(np.linalg.solve(L, X))
+    if not L.size:
+        return X
+    solution, _ = dtrtrs(L, X, lower=1)
+    return np.asarray(solution)
+
+
+def subtract_gram(P: Array, Y_T: Array) -> Array:
+    """P - Y Y^T for Y_T = Y^T of shape (..., k, n).
+
+    The product of a matrix with its own transpose is one symmetric rank-k update in BLAS, so the
+    result is exactly as symmetric as P.
+    """
+    return P - transposed(Y_T) @ Y_T
+
+
+def transposed(A: Array) -> Array:
+    """The last two axes swapped."""
+    return np.swapaxes(A, -1, -2)
+
+
+def symmetrised(P: Array) -> Array:
+    """(P + P^T) / 2."""
+    return 0.5 * (P + transposed(P))
+
+
+def gate_threshold(probability: float, dof: int) -> float:
+    """The squared Mahalanobis distance that a right innovation stays below with `probability`."""
+    return float(chdtri(dof, 1 - probability))
+
+
+def covariance_fault(P: Array) -> str | None:
+    """What keeps P, shape (n, n), from being a covariance; None where it is one.
+
+    Symmetric to 1e-12 of its largest element, and no eigenvalue below -1e-12 of the largest.
+    """
+    if not np.isfinite(P).all():
+        return "an element is not finite"
+    scale = float(np.abs(P).max(initial=0.0))
+    if scale == 0:
+        return None
+    asymmetry = float(np.abs(P - P.T).max())
+    if asymmetry > 1e-12 * scale:
+        return f"asymmetric by {asymmetry / scale:.1e} of its largest element"
+    eigenvalues = np.linalg.eigvalsh(P)
+    if eigenvalues[0] < -1e-12 * eigenvalues[-1]:
+        return f"smallest eigenvalue {eigenvalues[0]:.1e}, largest {eigenvalues[-1]:.1e}"
+    return None
