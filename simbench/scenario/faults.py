@@ -1,0 +1,93 @@
+"""What pydantic found, in words that a user of scene files understands."""
+
+import difflib
+from typing import Any, get_args
+
+from pydantic import BaseModel
+from pydantic_core import ErrorDetails
+
+from simbench.errors import Fault
+from simbench.scenario.scene import Scenario
+from simbench.scenario.text import Document, Location, key_of
+
+_EXPECTED = {
+    "missing": "a value, for there is no default",
+    "greater_than": "a number above {gt:g}",
+    "greater_than_equal": "a number of at least {ge:g}",
+    "less_than": "a number below {lt:g}",
+    "less_than_equal": "a number of at most {le:g}",
+    "finite_number": "a finite number",
+    "float_type": "a number",
+    "int_type": "a whole number",
+    "int_from_float": "a whole number",
+    "string_type": "text",
+    "tuple_type": "a list",
+    "too_short": "a list of at least {min_length}",
+    "too_long": "a list of at most {max_length}",
+    "literal_error": "{expected}",
+    "union_tag_invalid": "one of {expected_tags}",
+    "union_tag_not_found": "a mapping with the key kind",
+    "model_type": "a mapping of keys",
+    "model_attributes_type": "a mapping of keys",
+    "string_pattern_mismatch": "letters, digits and _ . + -, beginning with a letter or a digit",
+    "string_too_long": "at most {max_length} characters",
+}
+
+
+def fault_of(error: ErrorDetails, document: Document) -> Fault:
+    """One error of pydantic as a fault, with the place in the document."""
+    context: dict[str, Any] = error.get("ctx", {})
+    location, models = _locate(error["loc"])
+    if error["type"] == "fault":
+        location += (context["key"],) if context["key"] else ()
+        return Fault(document.place(location), key_of(location), context["text"])
+    if error["type"] == "extra_forbidden":
+        message = "unknown key; " + _known(str(location[-1]), models)
+    else:
+        expected = _EXPECTED.get(error["type"], error["msg"]).format(**context)
+        message = f"expected {expected}, got {_shown(error)}"
+    return Fault(document.place(location), key_of(location), message)
+
+
+def _locate(loc: Location) -> tuple[Location, list[type[BaseModel]]]:
+    """An error's location without pydantic's tags, and the models that could hold its last key."""
+    location: Location = ()
+    models: list[type[BaseModel]] = [Scenario]
+    holders = models
+    for part in loc:
+        if isinstance(part, str) and part.startswith("<"):
+            continue
+        if location in (("trajectory",), ("landmarks",)) and len(models) > 1:
+            models = [m for m in models if m.__pydantic_fields__["kind"].default == part]
+            continue
+        holders, location = models, (*location, part)
+        fields = (model.__pydantic_fields__.get(str(part)) for model in models)
+        models = [found for field in fields if field for found in _models(field.annotation)]
+    return location, holders
+
+
+def _models(annotation: Any) -> list[type[BaseModel]]:
+    """The models within a type."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    return [model for part in get_args(annotation) for model in _models(part)]
+
+
+def _known(key: str, models: list[type[BaseModel]]) -> str:
+    """What could be meant by a key that is not known."""
+    keys = [known for model in models for known in model.__pydantic_fields__]
+    if close := difflib.get_close_matches(key, keys, 1):
+        return f"did you mean {close[0]}?"
+    return "expected one of " + ", ".join(keys)
+
+
+def _shown(error: ErrorDetails) -> str:
+    """What came, short."""
+    value = error["input"]
+    if error["type"] in ("too_short", "too_long") and isinstance(value, list | tuple):
+        return f"{len(value)}"
+    if error["type"] in ("missing", "union_tag_not_found") or value is None:
+        return "none" if value is not None else "none (leave the key out for its default)"
+    if isinstance(value, dict):
+        return "a mapping"
+    return repr(value) if len(repr(value)) <= 60 else f"{repr(value)[:57]}..."

@@ -1,0 +1,79 @@
+"""The scene, whole."""
+
+import hashlib
+from typing import Annotated, Any
+
+from pydantic import Field, ValidationInfo, field_validator, model_validator
+
+from simbench.scenario.landmarks import AlongPath, LandmarkKind
+from simbench.scenario.sensors import Camera, Filter, Imu, Prior, Rig, Told
+from simbench.scenario.text import dump
+from simbench.scenario.trajectories import Figure8, TrajectoryKind
+from simbench.scenario.values import Integer, Number, Positive, Section, Text, fault
+
+MAX_FRAMES = 1_000_000
+
+
+class Scenario(Section):
+    """One scene: with a run number it determines every byte that is simulated."""
+
+    name: Annotated[Text, Field(pattern=r"^\w[\w.+-]*$", max_length=80)] = "scene"
+    """Names the files; the default is the file's stem."""
+    about: Text = ""
+    """One sentence on what the scene is for."""
+    seed: Annotated[Integer, Field(ge=0, lt=2**63)] = 0
+    duration_s: Positive = 40.0
+    """Default: 40, or where waypoints with times, or a trajectory file, end."""
+    rate_hz: Annotated[Positive, Field(le=10_000)] = 10.0
+    """Frames; the twist samples share their times."""
+    time_jitter: Annotated[Number, Field(ge=0, lt=0.9)] = 0.0
+    """Share of the period, uniform."""
+    trajectory: TrajectoryKind = Figure8()
+    landmarks: LandmarkKind = AlongPath()
+    rig: Rig = Rig()
+    imu: Imu = Imu()
+    camera: Camera = Camera()
+    prior: Prior = Prior()
+    told: Told = Told()
+    filter: Filter = Filter()
+
+    @field_validator("rate_hz")
+    @classmethod
+    def _frames(cls, value: float, info: ValidationInfo) -> float:
+        frames = value * info.data.get("duration_s", 2 / value)
+        if not 2 <= frames <= MAX_FRAMES:
+            raise fault(
+                "expected 2 to {most} frames, got duration_s times rate_hz = {frames:g}",
+                most=MAX_FRAMES,
+                frames=frames,
+            )
+        return value
+
+    @model_validator(mode="after")
+    def _ends_with_its_trajectory(self) -> "Scenario":
+        end_s = self.trajectory.end_s
+        if end_s is None:
+            return self
+        if "duration_s" not in self.model_fields_set:
+            object.__setattr__(self, "duration_s", end_s)  # frozen from here on
+        elif self.duration_s > end_s + 1 / self.rate_hz:
+            raise fault(
+                "expected at most {end}, where the trajectory ends, got {got}",
+                key="duration_s",
+                end=end_s,
+                got=self.duration_s,
+            )
+        return self
+
+    def to_yaml(self) -> str:
+        """The scene as text, whole in itself: equal scenes give equal text, and it loads back."""
+        return dump(self.model_dump(mode="json", exclude_none=True))
+
+    def fingerprint(self) -> str:
+        """Twelve hex digits that equal scenes share."""
+        return hashlib.sha256(self.to_yaml().encode()).hexdigest()[:12]
+
+    @classmethod
+    def json_schema(cls) -> dict[str, Any]:
+        """The JSON schema of a scene file, for editors."""
+        return cls.model_json_schema()
