@@ -1,5 +1,7 @@
 """The judge is judged: by definitions, by filterpy and by the statistics it claims."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
@@ -109,7 +111,7 @@ def test_jacobians_of_a_birth_are_the_paper_s_closed_forms():
     rng = np.random.default_rng(0)
     ekf, _ = mapped(rng, n=0)
     m = points_before(T_START, rng, 1)[0]
-    z = pixels_of(T_START, [m])[0]
+    z = pixels_of(T_START, [m])[0] + [0, 2, 0, -2]  # the mean of vL and vR still points to m
     Sigma = ekf.Sigma.copy()
     ekf.update(np.array([7]), z[None])
     assert_allclose(ekf.landmarks[7], m, rtol=1e-12)
@@ -154,6 +156,7 @@ def test_linear_algebra_of_an_update_is_filterpy_s(seed):
     moved = np.array(list(ekf.landmarks.values())) - points
     assert_allclose(moved.ravel(), delta[6:], rtol=0, atol=1e-13)
     assert_allclose(ekf.Sigma, witness.P, rtol=0, atol=1e-14)
+    assert_array_equal(ekf.Sigma, ekf.Sigma.T)
     assert_allclose(update.S, witness.S, rtol=1e-12)
     assert_allclose(update.nis, witness.mahalanobis**2, rtol=1e-10)
 
@@ -278,34 +281,35 @@ def test_outlier_is_as_if_never_seen():
 
 @pytest.mark.parametrize("offset", [-1e-6, 1e-6])
 def test_gate_stands_at_the_quantile_of_four_degrees(offset):
-    ekf, points = mapped(np.random.default_rng(3), n=1)
+    ekf, points = mapped(np.random.default_rng(3), n=1, gate=0.95)
     H = ekf.jacobian(0)
     S = H @ ekf.Sigma @ H.T + np.diag(SIGMA_PX**2)
     direction = np.linalg.cholesky(S) @ np.array([0.5, 0.5, -0.5, 0.5])
-    ekf.limit = chi2.ppf(0.95, 4)
     z = pixels_of(ekf.T, points) + (np.sqrt(9.487729) + offset) * direction
     update = ekf.update(np.array([0]), z)
     assert_allclose(update.distances, 9.487729, rtol=1e-5)
     assert update.accepted.tolist() == ([0] if offset < 0 else [])
 
 
+UNUSABLE = [
+    [-1, -1, -1, -1],
+    [300, 200, -1, 200],
+    [300, np.nan, 290, 200],
+    [300, 200, 300, 200],
+    [300, 200, 299.5, 200],
+    [300, 200, 320, 200],
+]
+OUTSIDE = [[639.5, 200, 600, 200], [300, 479.5, 290, 479.5], [3, 200, -2, 200]]
+
+
 @pytest.mark.parametrize(
-    "z",
-    [
-        [-1, -1, -1, -1],
-        [300, 200, -1, 200],
-        [300, np.nan, 290, 200],
-        [300, 200, 300, 200],
-        [300, 200, 299.5, 200],
-        [300, 200, 320, 200],
-        [639.5, 200, 600, 200],
-        [300, 479.5, 290, 479.5],
-        [3, 200, -2, 200],
-    ],
+    ("z", "image_px"),
+    [(z, None) for z in UNUSABLE] + [(z, (640, 480)) for z in UNUSABLE + OUTSIDE],
 )
 @pytest.mark.parametrize("track", [0, 99])
-def test_invalid_feature_changes_nothing(z, track):
+def test_invalid_feature_changes_nothing(z, image_px, track):
     ekf, _ = mapped(np.random.default_rng(5))
+    ekf.rig = replace(ekf.rig, image_px=image_px)
     before = ekf.T, ekf.Sigma, dict(ekf.landmarks)
     update = ekf.update(np.array([track]), np.array([z], float))
     assert len(update.ids) == len(update.born) == update.nis == 0
