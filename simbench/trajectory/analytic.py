@@ -13,7 +13,7 @@ INCOMMENSURATE = 1.0, 0.71, 0.83, 1.27
 
 
 def wave(amplitude: Array, omega: Array, phase: Array) -> Derivatives:
-    """A sinusoid, amplitude sin(omega t + phase), and its derivatives; each argument of shape (...)."""
+    """A sinusoid, amplitude sin(omega t + phase), and its derivatives; all of shape (...)."""
 
     def derivatives(times_s: Array) -> Array:
         angle = np.multiply.outer(times_s, omega) + phase

@@ -108,7 +108,7 @@ def _times(points: Array, duration_s: float) -> Array:
     """Times that share a duration out by the distance between points."""
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     distance: Array = np.concatenate([[0], np.cumsum(steps)])
-    return duration_s / distance[-1] * distance
+    return distance * (duration_s / float(distance[-1]))
 
 
 def _along(path: Derivatives, times_s: Array) -> Derivatives:
