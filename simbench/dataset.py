@@ -13,6 +13,17 @@ from vislam.arrays import Array, BoolArray, IntArray
 from vislam.types import Belief, Calibration, Noise, State, StereoFrame, Twist
 
 
+def nanoseconds(times_s: Array) -> IntArray:
+    """Times as whole nanoseconds; a plain product with 1e9 would lose digits of Unix times."""
+    whole = np.floor(times_s)
+    return whole.astype(np.int64) * 10**9 + np.rint((times_s - whole) * 1e9).astype(np.int64)
+
+
+def seconds(times_ns: IntArray) -> Array:
+    """The inverse, to the last bit: Python divides whole numbers with one rounding."""
+    return np.array([ns / 10**9 for ns in times_ns.tolist()])
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sightings:
     """Features by frame.
@@ -66,6 +77,11 @@ class RawImu:
     accel: Array
     truth_gyro_bias: Array | None = None
     truth_accel_bias: Array | None = None
+
+    @property
+    def times_ns(self) -> IntArray:
+        """The times as whole nanoseconds."""
+        return nanoseconds(self.times_s)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -156,7 +172,7 @@ class Dataset:
     @cached_property
     def times_ns(self) -> IntArray:
         """The times as whole nanoseconds."""
-        return np.rint(self.times_s * 1e9).astype(np.int64)
+        return nanoseconds(self.times_s)
 
     def frame(self, i: int) -> StereoFrame:
         """Frame i as a filter gets it; without features, an empty one."""

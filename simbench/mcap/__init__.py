@@ -1,0 +1,35 @@
+"""Recordings: a dataset, and a run over it, in one MCAP file that ROS tools and viewers open.
+
+Profile ``ros2``; every channel is CDR with a ``ros2msg`` schema. Frames: ``map`` is the world and
+``odom`` the same, ``base_link`` and ``imu`` are the body as estimated, ``cam0`` and ``cam1`` the
+left and the right camera in optical axes, ``base_link_gt`` is the body in truth. Without a filter
+``base_link`` is the body in truth.
+
+| topic | when |
+|---|---|
+| `/tf_static`, `/ground_truth/path`, `/ground_truth/landmarks` | once, at the start |
+| `/cam0/camera_info`, `/cam1/camera_info`, `/stereo/features`, `/twist` | each frame |
+| `/imu0` | each raw sample |
+| `/tf`, `/ground_truth/odometry`, `/ground_truth/pose` | each frame |
+| `/estimate/odometry`, `/estimate/pose` | each frame; covariance about the axes of ``map`` |
+| `/estimate/path` | at most once a second |
+| `/estimate/landmarks`, `/estimate/landmark_markers` | the same, and the whole map at the end |
+| `/consistency/nees`, `/consistency/nis` | each frame that has one, with its 95 % band |
+
+A metadata record ``simbench`` says what the file is. It stands at the start with ``finished`` as
+``false`` and again at the end with ``true``: the last one counts. Attachments: what a filter is
+told, with every digit, as ``calibration.json``; ``truth.npz``; ``scenario.yaml``; ``metrics.json``,
+without wall-clock figures.
+"""
+
+from simbench.mcap.reader import Summary, read_dataset_mcap, summary
+from simbench.mcap.recorder import Recorder, record_to, write_dataset_mcap
+
+__all__ = [
+    "Recorder",
+    "Summary",
+    "read_dataset_mcap",
+    "record_to",
+    "summary",
+    "write_dataset_mcap",
+]

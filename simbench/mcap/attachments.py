@@ -1,0 +1,101 @@
+"""What a filter is told and what is true, as attachments with every digit."""
+
+import io
+import json
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from simbench.dataset import Dataset, Truth
+from vislam.arrays import Array
+from vislam.camera import StereoRig
+from vislam.types import Belief, Calibration, Noise
+
+#: Wall-clock figures: they differ from run to run, and equal runs give equal bytes.
+_WALL_CLOCK = {"wall_s", "realtime_factor"}
+
+#: What ``truth.npz`` holds: fields of `Truth`, and of `RawImu` where it has them.
+TRUTH = ("T_world_imu", "landmarks", "linear_velocity", "angular_velocity")
+TRUTH_OF_IMU = ("truth_gyro_bias", "truth_accel_bias")
+
+
+def dump_told(dataset: Dataset) -> bytes:
+    """``calibration.json``: calibration, noise, prior, gate and landmark count."""
+    truth = dataset.truth
+    told = {
+        "calibration": asdict(dataset.calibration) if dataset.calibration else None,
+        "noise": asdict(dataset.noise),
+        "prior": asdict(dataset.prior),
+        "gate": dataset.gate,
+        "landmark_count": dataset.landmark_count,
+        "true_calibration": asdict(truth.calibration) if truth else None,
+        "notes": dataset.notes,
+    }
+    return json.dumps(told, indent=1, default=lambda array: array.tolist()).encode()
+
+
+def load_told(data: bytes) -> dict[str, Any]:
+    """The fields of a dataset in ``calibration.json``, and ``true_calibration``."""
+    told = json.loads(data)
+    return {
+        "calibration": _calibration(told["calibration"]),
+        "noise": Noise(
+            process_model=told["noise"]["process_model"],
+            process=np.array(told["noise"]["process"]),
+            sigma_px=np.array(told["noise"]["sigma_px"]),
+        ),
+        "prior": _belief(told["prior"]),
+        "gate": told["gate"],
+        "landmark_count": told["landmark_count"],
+        "true_calibration": _calibration(told["true_calibration"]),
+        "notes": tuple(told["notes"]),
+    }
+
+
+def _calibration(told: dict[str, Any] | None) -> Calibration | None:
+    if told is None:
+        return None
+    rig = told["rig"]
+    if rig["image_px"] is not None:
+        rig["image_px"] = tuple(rig["image_px"])
+    return Calibration(rig=StereoRig(**rig), T_imu_cam=np.array(told["T_imu_cam"]))
+
+
+def _belief(told: dict[str, Any]) -> Belief:
+    def array_or_none(value: Any) -> Array | None:
+        return None if value is None else np.array(value, float)
+
+    return Belief(
+        T_world_imu=np.array(told["T_world_imu"], float),
+        pose_covariance=array_or_none(told["pose_covariance"]),
+        ids=np.array(told["ids"], np.int64),
+        landmarks=np.array(told["landmarks"], float).reshape(-1, 3),
+        landmark_covariances=np.array(told["landmark_covariances"], float).reshape(-1, 3, 3),
+        joint_covariance=array_or_none(told["joint_covariance"]),
+        chart=told["chart"],
+    )
+
+
+def dump_truth(dataset: Dataset, truth: Truth) -> bytes:
+    """``truth.npz``: poses, landmarks, velocities, and the biases of the raw IMU."""
+    arrays = {name: getattr(truth, name) for name in TRUTH}
+    if dataset.imu is not None:
+        biases = {name: getattr(dataset.imu, name) for name in TRUTH_OF_IMU}
+        arrays |= {name: bias for name, bias in biases.items() if bias is not None}
+    file = io.BytesIO()
+    np.savez(file, **arrays)
+    return file.getvalue()
+
+
+def load_truth(data: bytes) -> dict[str, Array]:
+    """The arrays of ``truth.npz``."""
+    with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
+        return dict(arrays)
+
+
+def dump_metrics(metrics: Mapping[str, Any]) -> bytes:
+    """``metrics.json``, without wall-clock figures."""
+    kept = {k: v for k, v in metrics.items() if k not in _WALL_CLOCK}
+    return json.dumps(kept, indent=1).encode()

@@ -1,0 +1,307 @@
+"""Writes recordings, while a run goes on or of a dataset alone."""
+
+from bisect import bisect_right
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from functools import cache
+from importlib.metadata import version
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+from mcap.writer import Writer
+
+from simbench import __version__
+from simbench.dataset import Dataset, Truth
+from simbench.errors import DatasetError
+from simbench.files import replacing
+from simbench.mcap import attachments
+from simbench.mcap import messages as m
+from simbench.metrics import chi_square_band, nees
+from simbench.run import RunRecord, Step
+from vislam.arrays import Array
+from vislam.lie import se3, so3
+from vislam.types import Belief
+
+FORMAT_VERSION = 1
+LIBRARY = f"simbench {__version__}; mcap {version('mcap')}; rosbags {version('rosbags')}"
+
+#: Written once, at the start.
+LATCHED = {"/tf_static", "/ground_truth/path", "/ground_truth/landmarks"}
+
+SECOND_NS = 10**9
+#: 2020-01-01, added to simulated times: a stamp of zero means "no time" to ROS.
+EPOCH_NS = 1_577_836_800 * SECOND_NS
+#: From here on (2001-09-09) times are Unix time already.
+FIRST_UNIX_NS = 10**9 * SECOND_NS
+#: The seconds of a ROS stamp are an int32.
+END_OF_TIME_NS = 2**31 * SECOND_NS
+#: Of central differences of a chart, in metres and radians.
+STEP = 1e-5
+
+
+@contextmanager
+def record_to(path: Path, dataset: Dataset, filter_name: str | None = None) -> Iterator["Recorder"]:
+    """Open a recording; it stands at `path` once the block has succeeded.
+
+    Until then it is called `path` with ``.partial`` behind it and is on disk up to the last
+    simulated second, so what a killed run leaves can be read. A block that raises leaves nothing.
+
+        with record_to(path, dataset, "slam") as recorder:
+            record = run(dataset, factory, on_step=recorder.step)
+            recorder.finish(record, metrics(record))
+
+    Args:
+        path: of the file.
+        dataset: the data, and the truth where it is known.
+        filter_name: whose run is recorded; None for a dataset alone.
+
+    Raises:
+        DatasetError: a time of the dataset is no ROS stamp.
+        OutputError: the operating system refused.
+    """
+    with replacing(path) as partial, partial.open("wb") as stream:
+        recorder = Recorder(stream, dataset, filter_name)
+        yield recorder
+        recorder.close()
+
+
+def write_dataset_mcap(path: Path, dataset: Dataset) -> None:
+    """Record a dataset alone: readings, and the truth where it is known.
+
+    Raises:
+        DatasetError, OutputError: as `record_to`.
+    """
+    with record_to(path, dataset) as recorder:
+        for frame in range(len(dataset)):
+            recorder.frame(frame)
+
+
+class Recorder:
+    """A recording in the making; `record_to` gives one."""
+
+    def __init__(self, stream: IO[bytes], dataset: Dataset, filter_name: str | None) -> None:
+        """Write all that is known before the first frame."""
+        imu = dataset.imu
+        self._dataset, self._filter = dataset, filter_name
+        self._epoch_ns = _epoch_ns(dataset)
+        self._stamps_ns: list[int] = (dataset.times_ns + self._epoch_ns).tolist()
+        self._imu_ns: list[int] = [] if imu is None else (imu.times_ns + self._epoch_ns).tolist()
+        self._imu_written = 0
+        self._start_ns = min(self._stamps_ns[:1] + self._imu_ns[:1])
+        self._flush_ns = self._start_ns + SECOND_NS
+        self._slow_frames = _a_second_apart(self._stamps_ns)
+        self._path: list[m.Message] = []
+        self._channels: dict[str, Any] = {}
+        self._schemas: dict[str, Any] = {}
+        self._cameras = {
+            f"/cam{i}/camera_info": m.camera_info(0, dataset.calibration, right=bool(i))
+            for i in ((0, 1) if dataset.calibration is not None else ())
+        }
+        self._writer: Any = Writer(stream)  # some of its methods carry no types
+        self._writer.start("ros2", LIBRARY)
+        self._write_head()
+
+    def frame(self, frame: int) -> None:
+        """Write the readings and the truth of a frame."""
+        ns = self._stamps_ns[frame]
+        if ns >= self._flush_ns:
+            self._writer.flush()
+            self._flush_ns = ns + SECOND_NS
+        self._write_imu(until=bisect_right(self._imu_ns, ns))
+        self._write_readings(ns, frame)
+        if self._dataset.truth is not None:
+            self._write_truth(ns, frame, self._dataset.truth)
+
+    def step(self, step: Step) -> None:
+        """Write a frame and what the filter made of it: the `on_step` of a run."""
+        ns = self._stamps_ns[step.frame]
+        self.frame(step.frame)
+        self._write_estimate(ns, step)
+        self._write_consistency(ns, step)
+
+    def finish(self, record: RunRecord, metrics: Mapping[str, Any]) -> None:
+        """Write what is known at the end of a run: the whole map, and the metrics."""
+        self._write_map(self._stamps_ns[record.steps[-1].frame], record.final)
+        self._attach("metrics.json", "application/json", attachments.dump_metrics(metrics))
+
+    def close(self) -> None:
+        """Write what is left, that the recording is whole, and its index."""
+        self._write_imu(until=len(self._imu_ns))
+        self._write_metadata(finished=True)
+        self._writer.finish()
+
+    def _write_head(self) -> None:
+        ns, dataset, truth = self._start_ns, self._dataset, self._dataset.truth
+        self._write_metadata(finished=False)
+        if dataset.origin is not None:
+            text = dataset.origin.scenario_yaml.encode()
+            self._attach("scenario.yaml", "application/yaml", text)
+        self._attach("calibration.json", "application/json", attachments.dump_told(dataset))
+        self._write("/tf_static", ns, m.transforms(ns, self._static_frames()))
+        if truth is not None:
+            self._attach("truth.npz", "application/zip", attachments.dump_truth(dataset, truth))
+            poses = list(map(m.pose_stamped, self._stamps_ns, truth.T_world_imu))
+            ids = np.arange(len(truth.landmarks))
+            self._write("/ground_truth/path", ns, m.path(ns, poses))
+            self._write("/ground_truth/landmarks", ns, m.cloud(ns, truth.landmarks, ids))
+        self._writer.flush()
+
+    def _static_frames(self) -> list[m.Frame]:
+        identity, calibration = np.eye(4), self._dataset.calibration
+        frames = [m.Frame("map", "odom", identity), m.Frame("base_link", "imu", identity)]
+        if self._filter is None and self._dataset.truth is not None:
+            frames.append(m.Frame("base_link_gt", "base_link", identity))
+        if calibration is not None:
+            T_cam0_cam1 = se3.from_rotation_translation(
+                np.eye(3), np.array([calibration.rig.baseline_m, 0, 0])
+            )
+            frames.append(m.Frame("imu", "cam0", calibration.T_imu_cam))
+            frames.append(m.Frame("cam0", "cam1", T_cam0_cam1))
+        return frames
+
+    def _write_imu(self, until: int) -> None:
+        imu = self._dataset.imu
+        if imu is not None:
+            for i in range(self._imu_written, until):
+                ns = self._imu_ns[i]
+                self._write("/imu0", ns, m.imu(ns, imu.gyro[i], imu.accel[i]))
+            self._imu_written = until
+
+    def _write_readings(self, ns: int, frame: int) -> None:
+        dataset, noise = self._dataset, self._dataset.noise
+        for topic, camera in self._cameras.items():
+            camera.header.stamp = m.stamp(ns)
+            self._write(topic, ns, camera)
+        if dataset.sightings is not None:
+            self._write(
+                "/stereo/features", ns, m.features(ns, dataset.frame(frame), noise.sigma_px)
+            )
+        # The other noise models are no covariance of this sample.
+        covariance = noise.process if noise.process_model == "twist" else m.UNKNOWN_COVARIANCE
+        velocity = m.twist(dataset.linear_velocity[frame], dataset.angular_velocity[frame])
+        self._write("/twist", ns, m.twist_stamped(ns, velocity, covariance))
+
+    def _write_truth(self, ns: int, frame: int, truth: Truth) -> None:
+        T = truth.T_world_imu[frame]
+        velocity = m.twist(truth.linear_velocity[frame], truth.angular_velocity[frame])
+        odometry = m.odometry(ns, "base_link_gt", T, m.UNKNOWN_COVARIANCE, velocity)
+        self._write("/tf", ns, m.transforms(ns, [m.Frame("map", "base_link_gt", T)]))
+        self._write("/ground_truth/odometry", ns, odometry)
+        self._write("/ground_truth/pose", ns, m.pose_stamped(ns, T))
+
+    def _write_estimate(self, ns: int, step: Step) -> None:
+        dataset, T = self._dataset, step.belief.T_world_imu
+        covariance = covariance_about_map_axes(step.belief)
+        velocity = m.twist(
+            dataset.linear_velocity[step.frame], dataset.angular_velocity[step.frame]
+        )
+        self._write("/tf", ns, m.transforms(ns, [m.Frame("odom", "base_link", T)]))
+        self._write("/estimate/odometry", ns, m.odometry(ns, "base_link", T, covariance, velocity))
+        self._write("/estimate/pose", ns, m.pose_with_covariance_stamped(ns, T, covariance))
+        self._path.append(m.pose_stamped(ns, T))
+        if step.frame in self._slow_frames:
+            self._write("/estimate/path", ns, m.path(ns, self._path))
+            self._write_map(ns, step.belief)
+
+    def _write_map(self, ns: int, belief: Belief) -> None:
+        ids, points, covariances = belief.ids, belief.landmarks, belief.landmark_covariances
+        if len(covariances) != len(ids):  # the filter gives none
+            covariances = np.full((len(ids), 3, 3), np.nan)
+        variance = np.trace(covariances, axis1=-2, axis2=-1) / 3
+        sigma = np.sqrt(np.maximum(variance, 0))
+        sure = np.isfinite(covariances).all(axis=(-2, -1))
+        markers = m.ellipsoids(ns, points[sure], ids[sure], covariances[sure])
+        self._write("/estimate/landmarks", ns, m.cloud(ns, points, ids, sigma=sigma))
+        self._write("/estimate/landmark_markers", ns, markers)
+
+    def _write_consistency(self, ns: int, step: Step) -> None:
+        belief, innovation, truth = step.belief, step.innovation, self._dataset.truth
+        P = belief.pose_covariance
+        if truth is not None and P is not None and P.any():
+            value = float(nees(belief.pose_error(truth.T_world_imu[step.frame]), P))
+            message = m.consistency(ns, "pose NEES", value, 6, _band(6))
+            self._write("/consistency/nees", ns, message)
+        if innovation is not None and (dof := int(innovation.dof)):
+            message = m.consistency(ns, "NIS", float(innovation.nis), dof, _band(dof))
+            self._write("/consistency/nis", ns, message)
+
+    def _write(self, topic: str, ns: int, message: m.Message) -> None:
+        if topic not in self._channels:
+            self._channels[topic] = self._channel(topic, message.__msgtype__)
+        self._writer.add_message(self._channels[topic], ns, m.to_cdr(message), ns)
+
+    def _channel(self, topic: str, type_name: str) -> Any:
+        if type_name not in self._schemas:  # the writer does not see that two are the same
+            self._schemas[type_name] = self._writer.register_schema(
+                type_name, "ros2msg", m.schema_text(type_name)
+            )
+        profiles = {"offered_qos_profiles": m.qos(latched=topic in LATCHED)}
+        return self._writer.register_channel(topic, "cdr", self._schemas[type_name], profiles)
+
+    def _attach(self, name: str, media_type: str, data: bytes) -> None:
+        self._writer.add_attachment(0, self._start_ns, name, media_type, data)
+
+    def _write_metadata(self, *, finished: bool) -> None:
+        origin = self._dataset.origin
+        metadata = {
+            "format_version": FORMAT_VERSION,
+            "version": __version__,
+            "scenario": self._dataset.name,
+            "seed": origin.seed if origin else "",
+            "run": origin.run if origin else "",
+            "origin_version": origin.version if origin else "",
+            "filter": self._filter or "",
+            "epoch_ns": self._epoch_ns,
+            "finished": str(finished).lower(),
+        }
+        self._writer.add_metadata("simbench", {key: str(value) for key, value in metadata.items()})
+
+
+def covariance_about_map_axes(belief: Belief) -> Array:
+    """The pose covariance as ROS has it: of p_true - p and of a small turn about the map's axes.
+
+    Zeros where the filter does not estimate the pose. The error in the belief's own chart is, to
+    first order, J times the one about the map's axes.
+    """
+    if belief.pose_covariance is None:
+        return m.UNKNOWN_COVARIANCE
+    R, p = belief.T_world_imu[:3, :3], belief.T_world_imu[:3, 3]
+    if belief.chart == "right":
+        to_map = np.kron(np.eye(2), R)
+    else:
+        moves = STEP * np.concatenate([np.eye(6), -np.eye(6)])
+        moved = se3.from_rotation_translation(so3.exp(moves[:, 3:]) @ R, p + moves[:, :3])
+        ahead, behind = np.array([belief.pose_error(T) for T in moved]).reshape(2, 6, 6)
+        to_map = np.linalg.inv((ahead - behind).T / (2 * STEP))
+    return to_map @ belief.pose_covariance @ to_map.T
+
+
+@cache
+def _band(dof: int) -> tuple[float, float]:
+    """Where 95 % of a chi-square with `dof` degrees lies, with equal tails."""
+    lower, upper = chi_square_band(dof, 0.95)
+    return float(lower), float(upper)
+
+
+def _a_second_apart(stamps_ns: list[int]) -> set[int]:
+    """Frames at least a second apart, the last among them."""
+    chosen, next_ns = set(), stamps_ns[-1]
+    for frame in reversed(range(len(stamps_ns))):
+        if stamps_ns[frame] <= next_ns:
+            chosen.add(frame)
+            next_ns = stamps_ns[frame] - SECOND_NS
+    return chosen
+
+
+def _epoch_ns(dataset: Dataset) -> int:
+    """What is added to the dataset's times."""
+    epoch_ns = 0 if dataset.times_ns[0] >= FIRST_UNIX_NS else EPOCH_NS
+    times_ns = [dataset.times_ns] + ([] if dataset.imu is None else [dataset.imu.times_ns])
+    for ns in times_ns:
+        if ns.size and not 0 < ns.min() + epoch_ns <= ns.max() + epoch_ns < END_OF_TIME_NS:
+            raise DatasetError(
+                f"{dataset.name}: expected times that a ROS stamp holds, from 0 s on or Unix time "
+                f"up to 2038, got {ns.min() / 1e9} to {ns.max() / 1e9} s; shift them."
+            )
+    return epoch_ns
