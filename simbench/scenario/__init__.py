@@ -4,25 +4,21 @@
 the file. `TRAJECTORIES` and `LANDMARKS` say what kinds there are.
 """
 
-from typing import Any, get_args
+from typing import TYPE_CHECKING, Any
 
-from simbench.scenario.landmarks import LandmarkKind
-from simbench.scenario.loading import load, loads
-from simbench.scenario.scene import Scenario
-from simbench.scenario.trajectories import TrajectoryKind
+from simbench.scenario.kinds import LANDMARKS, TRAJECTORIES
+
+if TYPE_CHECKING:
+    from simbench.scenario.loading import load, loads
+    from simbench.scenario.scene import Scenario
 
 __all__ = ["LANDMARKS", "TRAJECTORIES", "Scenario", "load", "loads"]
 
 
-def _table(union: Any) -> dict[str, str]:
-    models = get_args(get_args(union)[0])
-    return {
-        model.model_fields["kind"].default: model.__doc__.strip().splitlines()[0]
-        for model in models
-    }
+def __getattr__(name: str) -> Any:
+    """The loader and the models when they are first asked for: they take 0.2 s."""
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from simbench.scenario import loading
 
-
-#: Kinds of trajectories, and a line on each.
-TRAJECTORIES: dict[str, str] = _table(TrajectoryKind)
-#: Kinds of landmark fields, and a line on each.
-LANDMARKS: dict[str, str] = _table(LandmarkKind)
+    return getattr(loading, name)

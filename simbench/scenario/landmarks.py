@@ -1,7 +1,6 @@
 """The kinds of landmark fields that a scene can name, and their keys.
 
-The first line of each docstring is what ``simbench list landmarks`` prints. Landmark i does not
-depend on `count`.
+Landmark i does not depend on `count`.
 """
 
 from pathlib import Path

@@ -1,7 +1,4 @@
-"""The kinds of trajectories that a scene can name, and their keys.
-
-The first line of each docstring is what ``simbench list trajectories`` prints.
-"""
+"""The kinds of trajectories that a scene can name, and their keys."""
 
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias
