@@ -1,0 +1,199 @@
+"""`.npz` files into datasets, whatever their dialect."""
+
+from pathlib import Path
+
+import numpy as np
+
+from simbench.conventions import Convention, Extrinsics, ImuFrame, Motion, resolve
+from simbench.dataset import Dataset, Origin, RawImu, Truth
+from simbench.npz.checked import Contents, check
+from simbench.npz.layout import process_scale
+from vislam.arrays import Array
+from vislam.camera import StereoRig
+from vislam.types import Belief, Calibration, Noise, ProcessModel
+
+#: What a filter is told where the file says nothing of noise.
+SIGMA_PX, SIGMA_VELOCITY, SIGMA_ANGULAR, GATE = 2.0, 0.5, 0.05, 0.999
+
+
+def read_npz(
+    path: Path,
+    *,
+    imu_frame: ImuFrame | None = None,
+    extrinsics: Extrinsics | None = None,
+    noise_pixel_px: float | None = None,
+    noise_velocity: float | None = None,
+    noise_angular: float | None = None,
+) -> Dataset:
+    """Read a dataset of any `.npz` dialect.
+
+    Args:
+        path: the file; its stem names the dataset.
+        imu_frame: overrules the IMU frame that the data show.
+        extrinsics: overrules what the data show the extrinsics to be.
+        noise_pixel_px: standard deviation of every pixel coordinate that a filter is told.
+        noise_velocity: of a sample of linear velocity, m/s.
+        noise_angular: of a sample of angular velocity, rad/s.
+
+    Raises:
+        DatasetError: the file is no usable dataset; names the file and the key.
+    """
+    contents = check(path)
+    arrays = contents.arrays
+    rig = _rig(contents, arrays["b"])
+    convention = _convention(contents, imu_frame, extrinsics)
+    noise = _noise(contents, noise_pixel_px, noise_velocity, noise_angular)
+    notes = [*contents.notes]
+    if contents.sightings is None:
+        notes.append("There are no features: only dead reckoning has anything to work on.")
+    else:
+        notes.append(convention.note)
+    if not contents.told:
+        notes.append(_noise_note(noise))
+    return Dataset(
+        name=path.stem,
+        times_s=contents.times_s,
+        linear_velocity=_columns(arrays["linear_velocity"]),
+        angular_velocity=_columns(arrays["angular_velocity"]),
+        landmark_count=contents.landmark_count,
+        sightings=contents.sightings,
+        calibration=Calibration(rig=rig, T_imu_cam=convention.chosen.T_imu_cam),
+        noise=noise,
+        prior=_prior(contents),
+        gate=_gate(contents),
+        imu=_imu(contents),
+        truth=_truth(contents),
+        origin=_origin(contents),
+        notes=tuple(notes),
+    )
+
+
+def read_convention(path: Path) -> Convention:
+    """Every reading of a file's extrinsics with its error, and the one that `read_npz` chooses.
+
+    Raises:
+        DatasetError: the file is no usable dataset.
+    """
+    return _convention(check(path))
+
+
+def _convention(
+    contents: Contents, imu_frame: ImuFrame | None = None, extrinsics: Extrinsics | None = None
+) -> Convention:
+    arrays = contents.arrays
+    motion = Motion.of(
+        _rig(contents, arrays["b"]),
+        contents.times_s,
+        _columns(np.concatenate([arrays["linear_velocity"], arrays["angular_velocity"]])),
+        contents.sightings,
+    )
+    return resolve(
+        contents.extrinsics,
+        contents.extrinsics_key,
+        motion,
+        imu_frame=imu_frame,
+        extrinsics=extrinsics,
+    )
+
+
+def _rig(contents: Contents, baseline_m: Array) -> StereoRig:
+    K, size = contents.arrays["K"], contents.arrays.get("image_size")
+    return StereoRig(
+        fx_px=float(K[0, 0]),
+        fy_px=float(K[1, 1]),
+        cx_px=float(K[0, 2]),
+        cy_px=float(K[1, 2]),
+        baseline_m=float(baseline_m),
+        image_px=None if size is None else (int(size[0]), int(size[1])),
+    )
+
+
+def _noise(
+    contents: Contents, pixel_px: float | None, velocity: float | None, angular: float | None
+) -> Noise:
+    """What the file says of noise, or the defaults, and over them what the caller says."""
+    sigma_px = np.full(4, SIGMA_PX)
+    process = np.diag(np.repeat(np.square([SIGMA_VELOCITY, SIGMA_ANGULAR]), 3))
+    model: ProcessModel = "twist"
+    if contents.told:
+        sigma_px, process = contents.arrays["noise_pixel"], contents.arrays["noise_process"]
+        model = contents.process_model
+    if pixel_px is not None:
+        sigma_px = np.full(4, float(pixel_px))
+    scale = process_scale(model, contents.times_s)
+    for sigma, part in ((velocity, slice(0, 3)), (angular, slice(3, 6))):
+        if sigma is not None:
+            process[part], process[:, part] = 0.0, 0.0
+            process[part, part] = np.diag(np.full(3, (sigma * scale) ** 2))
+    return Noise(process_model=model, process=process, sigma_px=sigma_px)
+
+
+def _noise_note(noise: Noise) -> str:
+    velocity, angular = np.sqrt(np.diag(noise.process))[[0, 3]]
+    return (
+        f"The file says nothing of noise: filters are told {noise.sigma_px[0]:g} px, "
+        f"{velocity:g} m/s and {angular:g} rad/s, a start at identity with no uncertainty, "
+        f"and a gate of {GATE:g}; --noise-pixel-px, --noise-velocity, --noise-angular and --gate "
+        "change it."
+    )
+
+
+def _prior(contents: Contents) -> Belief:
+    if not contents.told:
+        return Belief(T_world_imu=np.eye(4), pose_covariance=np.zeros((6, 6)))
+    return Belief(
+        T_world_imu=contents.arrays["prior_world_T_imu"],
+        pose_covariance=contents.arrays["prior_covariance"],
+    )
+
+
+def _gate(contents: Contents) -> float | None:
+    if not contents.told:
+        return GATE
+    gate = float(contents.arrays["gate"])
+    return gate or None  # the file holds 0 for none
+
+
+def _imu(contents: Contents) -> RawImu | None:
+    arrays = contents.arrays
+    if contents.imu_times_s is None:
+        return None
+    biases = "truth_gyro_bias" in arrays
+    return RawImu(
+        times_s=contents.imu_times_s,
+        gyro=_columns(arrays["imu_gyro"]),
+        accel=_columns(arrays["imu_accel"]),
+        truth_gyro_bias=_columns(arrays["truth_gyro_bias"]) if biases else None,
+        truth_accel_bias=_columns(arrays["truth_accel_bias"]) if biases else None,
+    )
+
+
+def _truth(contents: Contents) -> Truth | None:
+    arrays = contents.arrays
+    if "truth_b" not in arrays:
+        return None
+    return Truth(
+        T_world_imu=arrays["truth_world_T_imu"],
+        landmarks=_columns(arrays["truth_landmarks"]),
+        linear_velocity=_columns(arrays["truth_linear_velocity"]),
+        angular_velocity=_columns(arrays["truth_angular_velocity"]),
+        calibration=Calibration(
+            rig=_rig(contents, arrays["truth_b"]), T_imu_cam=arrays["truth_imu_T_cam"]
+        ),
+    )
+
+
+def _origin(contents: Contents) -> Origin | None:
+    if "scenario_yaml" not in contents.texts:
+        return None
+    return Origin(
+        scenario_yaml=contents.texts["scenario_yaml"],
+        seed=contents.integers["seed"],
+        run=contents.integers["run"],
+        version=contents.texts["simbench_version"],
+    )
+
+
+def _columns(rows: Array) -> Array:
+    """From a row for each axis, (3, n), to (n, 3)."""
+    return np.ascontiguousarray(rows.T)
