@@ -1,6 +1,5 @@
 """The estimators of the paper, behind one protocol (`Filter`)."""
 
-from collections.abc import Mapping as _Mapping
 from functools import partial
 from types import MappingProxyType
 
@@ -10,14 +9,19 @@ from vislam.filters.model import constant_prior
 from vislam.filters.protocol import Factory, Filter
 from vislam.filters.slam import EkfSlam, Parts
 
-#: The filters by name.
-FILTERS: _Mapping[str, Factory] = MappingProxyType(
+_WITH_CONSTANT_PRIOR = partial(EkfSlam, parts=Parts(birth=constant_prior))
+
+#: What there is: a line on each filter and its factory, by name.
+FILTERS = MappingProxyType(
     {
-        "dead-reckoning": DeadReckoning,
-        "mapping": Mapping,
-        "mapping-truth": Mapping.on_truth,
-        "slam": EkfSlam,
-        "slam-constant-prior": partial(EkfSlam, parts=Parts(birth=constant_prior)),
+        "dead-reckoning": ("IMU localisation by EKF prediction, III.A", DeadReckoning),
+        "mapping": ("landmarks on the dead-reckoned trajectory, III.B", Mapping),
+        "mapping-truth": ("landmarks on the true trajectory, III.B", Mapping.on_truth),
+        "slam": ("pose and landmarks with one covariance, III.C", EkfSlam),
+        "slam-constant-prior": (
+            "slam with the paper's start of a landmark, a constant covariance: inconsistent",
+            _WITH_CONSTANT_PRIOR,
+        ),
     }
 )
 

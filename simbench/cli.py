@@ -1,0 +1,273 @@
+"""The verbs of the command line; each is a thin skin over one call of the library.
+
+Libraries are imported inside the verbs, so that ``simbench --help`` answers at once.
+"""
+
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from simbench.errors import FilterFailure, SimbenchError
+from vislam import __version__
+
+if TYPE_CHECKING:
+    from simbench.dataset import Dataset
+    from simbench.run import RunRecord, Step
+
+DONE, FAILED, WRONG_INPUT, INTERNAL, INTERRUPTED = 0, 1, 2, 3, 130
+
+
+class Gate(click.ParamType):
+    """A probability, or ``none``."""
+
+    name = "P|none"
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> float | str:
+        """The probability as a number in (0, 1)."""
+        if value == "none":
+            return "none"
+        try:
+            probability = float(value)
+        except ValueError:
+            probability = -1.0
+        if not 0 < probability < 1:
+            self.fail(f"expected a probability between 0 and 1, or none, got {value!r}", param, ctx)
+        return probability
+
+
+_POSITIVE = click.FloatRange(min=0, min_open=True)
+_OUT = click.option(
+    "--out", type=click.Path(path_type=Path), default=Path("out"), help="Where files go."
+)
+_JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON value alone.")
+_DEBUG = click.option("--debug", is_flag=True, expose_value=False, help="Show tracebacks.")
+_SCENE = (
+    click.option("--seed", type=click.IntRange(min=0), help="Default: the scene's own."),
+    click.option("--run", type=click.IntRange(min=0), help="Run number, default 0."),
+    click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE", help="Change a value."),
+)
+_CONVENTION = (
+    click.option("--imu-frame", type=click.Choice(["flu", "frd"]), help="Overrule what is found."),
+    click.option(
+        "--extrinsics",
+        type=click.Choice(["imu_T_cam", "cam_T_imu", "mixed"]),
+        help="Overrule what is found.",
+    ),
+)
+_TOLD = (
+    *_SCENE,
+    *_CONVENTION,
+    click.option("--noise-pixel-px", type=_POSITIVE, help="Sigma a filter is told, pixels."),
+    click.option("--noise-velocity", type=_POSITIVE, help="Sigma a filter is told, m/s."),
+    click.option("--noise-angular", type=_POSITIVE, help="Sigma a filter is told, rad/s."),
+    click.option("--gate", type=Gate(), help="Chi-square gate, or none."),
+)
+
+
+def _options(*options: Callable[..., Any]) -> Callable[..., Any]:
+    """Decorate a verb with options, in the order given."""
+
+    def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
+        for option in reversed((*options, _JSON, _DEBUG)):
+            function = option(function)
+        return function
+
+    return decorate
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(__version__, prog_name="simbench")
+def cli() -> None:
+    """A test bench for visual-inertial filters."""
+
+
+@cli.command()
+@click.argument("scenario", type=click.Path(path_type=Path))
+@_options(*_SCENE, _OUT)
+def generate(scenario: Path, out: Path, as_json: bool, **told: Any) -> None:
+    """Simulate a scene: write OUT/NAME.npz and OUT/NAME.mcap."""
+    from simbench.info import describe
+    from simbench.outputs import write_dataset
+
+    dataset = _open(scenario, told)
+    paths = write_dataset(dataset, out)
+    _show(describe(dataset) | {"files": list(map(str, paths))}, as_json)
+
+
+@cli.command()
+@click.argument("source", type=click.Path(path_type=Path))
+@click.option("--filter", "names", multiple=True, help="A name, or package.module:factory.")
+@_options(*_TOLD, _OUT)
+def run(source: Path, names: tuple[str, ...], out: Path, as_json: bool, **told: Any) -> None:
+    """Run a filter over a scene, a dataset or a recording, and measure it.
+
+    Writes OUT/NAME.FILTER.mcap, .json (metrics), .tum (estimate) and pictures. Without --filter the
+    filter is slam, and one more picture shows it beside the paper's other two estimators.
+    """
+    from simbench.filters import resolve
+    from simbench.outputs import record_run, write_comparison
+    from simbench.run import run as run_filter
+
+    factories = {name: resolve(name) for name in names or ("slam",)}
+    dataset = _open(source, told)
+    records: list[RunRecord] = []
+    results = []
+    for name, factory in factories.items():
+        with _progress(name, len(dataset)) as on_step:
+            record, values, paths = record_run(dataset, name, factory, out, on_step)
+        records.append(record)
+        results.append((values, paths))
+    if not names and dataset.sightings is not None:
+        others = ("dead-reckoning", "mapping")
+        records = [*(run_filter(dataset, resolve(o), name=o) for o in others), *records]
+    if len(records) > 1:
+        results[-1][1].append(write_comparison(records, out))
+    if as_json:
+        _print_json([v for v, _ in results] if len(results) > 1 else results[0][0])
+    else:
+        for values, paths in results:
+            _show(values | {"files": list(map(str, paths))}, as_json=False)
+
+
+@cli.command()
+@click.argument("file", type=click.Path(path_type=Path))
+@_options(*_CONVENTION)
+def info(file: Path, as_json: bool, **told: Any) -> None:
+    """Say what a file is: sizes, rates, statistics, convention, what is wrong with it."""
+    from simbench.info import info as describe_file
+    from simbench.source import Told
+
+    _show(describe_file(file, Told(**told)), as_json)
+
+
+LISTS = ("filters", "trajectories", "landmarks", "schema")
+
+
+@cli.command("list")
+@click.argument("what", type=click.Choice(LISTS))
+@_options()
+def list_(what: str, as_json: bool) -> None:
+    """Say what there is, a line each; schema is the JSON schema of a scene file."""
+    if what == "schema":
+        from simbench.scenario import Scenario
+
+        _print_json(Scenario.json_schema())
+        return
+    table = _table(what)
+    if as_json:
+        _print_json(table)
+    else:
+        width = max(map(len, table))
+        for name, about in table.items():
+            click.echo(f"{name:{width}}  {about}")
+
+
+def _table(what: str) -> Mapping[str, str]:
+    if what == "filters":
+        from simbench.filters import known
+
+        return known()
+    from simbench.scenario import LANDMARKS, TRAJECTORIES
+
+    return TRAJECTORIES if what == "trajectories" else LANDMARKS
+
+
+def _open(path: Path, told: Mapping[str, Any]) -> "Dataset":
+    """Open a source and say on standard error what its reader found."""
+    from simbench.source import Told, open_source
+
+    dataset = open_source(path, Told(**told))
+    for note in dataset.notes:
+        click.echo(note, err=True)
+    return dataset
+
+
+@contextmanager
+def _progress(name: str, frames: int) -> Iterator[Callable[["Step"], None]]:
+    """A bar on a terminal's standard error, nothing when piped."""
+    if not sys.stderr.isatty():
+        yield lambda _: None
+        return
+    from rich.console import Console
+    from rich.progress import Progress
+
+    with Progress(console=Console(stderr=True), transient=True) as progress:
+        task = progress.add_task(name, total=frames)
+        yield lambda step: progress.update(task, completed=step.frame + 1)
+
+
+def _show(values: Mapping[str, Any], as_json: bool) -> None:
+    """Print a result: as JSON, or a line for each value."""
+    if as_json:
+        _print_json(values)
+        return
+    for line in _lines(values):
+        click.echo(line)
+
+
+def _lines(values: Mapping[str, Any], indent: str = "") -> Iterator[str]:
+    width = max(map(len, values), default=0)
+    for name, value in values.items():
+        head = f"{indent}{name:{width}}"
+        if isinstance(value, Mapping):
+            yield f"{indent}{name}"
+            yield from _lines(value, indent + "  ")
+        elif isinstance(value, list):
+            yield f"{indent}{name}" if value else f"{head}  -"
+            for item in value:
+                text = _compact(item) if isinstance(item, Mapping) else str(item)
+                yield f"{indent}  {text}"
+        else:
+            yield f"{head}  {_text(value)}"
+
+
+def _compact(values: Mapping[str, Any]) -> str:
+    return "  ".join(f"{name} {_text(value)}" for name, value in values.items())
+
+
+def _text(value: Any) -> str:
+    if value is None:
+        return "-"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def _print_json(value: Any) -> None:
+    import json
+
+    click.echo(json.dumps(value, indent=2, allow_nan=False))
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a verb and return its exit status."""
+    arguments = sys.argv[1:] if arguments is None else list(arguments)
+    try:
+        cli.main(arguments, prog_name="simbench", standalone_mode=False)
+    except (KeyboardInterrupt, click.Abort):
+        return _failed(INTERRUPTED, "Interrupted; finished files are whole, unfinished ones gone.")
+    except click.ClickException as error:
+        error.show()
+        return WRONG_INPUT
+    except Exception as error:
+        if "--debug" in arguments:
+            raise
+        if isinstance(error, FilterFailure):
+            return _failed(FAILED, f"The filter failed: {error}")
+        if isinstance(error, SimbenchError):
+            return _failed(WRONG_INPUT, str(error))
+        return _failed(
+            INTERNAL, f"Internal error, {type(error).__name__}: {error}. --debug shows where."
+        )
+    return DONE
+
+
+def _failed(status: int, message: str) -> int:
+    click.echo(message, err=True)
+    return status

@@ -1,0 +1,164 @@
+"""Says what a file is: sizes, rates, statistics, the convention found, what is wrong with it."""
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from simbench.dataset import Dataset
+from simbench.metrics import path_length
+from simbench.source import NOTHING, Kind, Told, kind_of, open_source
+from vislam.arrays import Array
+from vislam.camera import Validity, triangulate, validity
+from vislam.filters.model import moved
+
+
+def info(path: Path, told: Told = NOTHING) -> dict[str, Any]:
+    """Describe a scene, a dataset, a recording or a trajectory.
+
+    Returns:
+        JSON-safe values; `kind`, `conventions` and `problems` are always there.
+
+    Raises:
+        InputError: the file is not usable.
+    """
+    kind = kind_of(path)
+    if kind is Kind.TRAJECTORY:
+        from simbench.tum import read_tum
+
+        times_s, T_world_imu = read_tum(path)
+        return {
+            "kind": kind.value,
+            "poses": len(times_s),
+            **_times(times_s),
+            "path_length_m": path_length(T_world_imu),
+            "conventions": [],
+            "problems": [],
+        }
+    described: dict[str, Any] = {"kind": kind.value}
+    if kind is Kind.DATASET:
+        from simbench.npz import dialect_of
+
+        described["dialect"] = dialect_of(path)
+    if kind is Kind.RECORDING:
+        from simbench.mcap import summary
+
+        described["recording"] = asdict(summary(path))
+    dataset = open_source(path, told)
+    described |= describe(dataset)
+    if kind is Kind.DATASET and dataset.sightings is not None:
+        described["conventions"] = _conventions(path)
+    return described
+
+
+def describe(dataset: Dataset) -> dict[str, Any]:
+    """Sizes, rates and statistics of a dataset, JSON-safe."""
+    return {
+        "name": dataset.name,
+        "frames": len(dataset),
+        "landmarks": dataset.landmark_count,
+        "sightings": 0 if dataset.sightings is None else len(dataset.sightings),
+        **_times(dataset.times_s),
+        "path_length_m": path_length(_dead_reckoned(dataset)),
+        "raw_imu_samples": 0 if dataset.imu is None else len(dataset.imu.times_s),
+        "truth": dataset.truth is not None,
+        "told": _told(dataset),
+        "statistics": _statistics(dataset),
+        "conventions": [],
+        "problems": _problems(dataset),
+    }
+
+
+def _times(times_s: Array) -> dict[str, float]:
+    duration_s = float(times_s[-1] - times_s[0])
+    return {"duration_s": duration_s, "rate_hz": (len(times_s) - 1) / duration_s}
+
+
+def _dead_reckoned(dataset: Dataset) -> Array:
+    """The poses that the twists alone give, for the length of the path."""
+    poses = [np.eye(4)]
+    for i, dt in enumerate(np.diff(dataset.times_s)):
+        poses.append(moved(poses[-1], dataset.twist(i), float(dt)))
+    return np.stack(poses)
+
+
+def _told(dataset: Dataset) -> dict[str, Any]:
+    rig, noise = dataset.calibration.rig, dataset.noise
+    return {
+        "fx_px": rig.fx_px,
+        "baseline_m": rig.baseline_m,
+        "sigma_px": noise.sigma_px.tolist(),
+        "process_model": noise.process_model,
+        "process_sigmas": np.sqrt(np.diag(noise.process)).tolist(),
+        "gate": dataset.gate,
+    }
+
+
+def _statistics(dataset: Dataset) -> dict[str, Any]:
+    sightings, rig = dataset.sightings, dataset.calibration.rig
+    values: dict[str, Any] = {
+        "speed_mps": _spread(np.linalg.norm(dataset.linear_velocity, axis=1)),
+        "angular_rate_radps": _spread(np.linalg.norm(dataset.angular_velocity, axis=1)),
+    }
+    if sightings is None or not len(sightings):
+        return values
+    usable = sightings.pixels[validity(rig, sightings.pixels) == Validity.VALID]
+    _, frames_of_each = np.unique(sightings.ids, return_counts=True)
+    values |= {
+        "sightings_per_frame": _spread(np.diff(sightings.start)),
+        "track_frames": _spread(frames_of_each),
+    }
+    if len(usable):
+        off = usable[:, 1] - usable[:, 3]
+        values |= {
+            "depth_m": _spread(triangulate(rig, usable)[:, 2]),
+            # 1.4826 times the median absolute deviation is sigma for normal noise
+            "vL_minus_vR_sigma_px": 1.4826 * float(np.median(np.abs(off - np.median(off)))),
+        }
+    return values
+
+
+def _spread(values: Array | np.ndarray[Any, Any]) -> dict[str, float]:
+    low, middle, high = np.percentile(values, [5, 50, 95])
+    return {"p5": float(low), "median": float(middle), "p95": float(high)}
+
+
+def _problems(dataset: Dataset) -> list[str]:
+    """What a user should know before trusting the data."""
+    sightings = dataset.sightings
+    if sightings is None:
+        return ["there are no features: only dead reckoning has anything to work on"]
+    kinds = validity(dataset.calibration.rig, sightings.pixels)
+    counts = {
+        "half of it is missing": Validity.PARTIAL,
+        "the disparity is not positive": Validity.BEHIND,
+        f"the disparity is below {dataset.calibration.rig.min_disparity_px:g} px": Validity.FAR,
+        "it lies outside the image": Validity.OUTSIDE,
+    }
+    found = {why: int(np.count_nonzero(kinds == kind)) for why, kind in counts.items()}
+    problems = [
+        f"{count} of {len(kinds)} sightings cannot be used: {why}"
+        for why, count in found.items()
+        if count
+    ]
+    empty = int(np.count_nonzero(np.diff(sightings.start) == 0))
+    if empty:
+        problems.append(f"{empty} of {len(dataset)} frames see no landmark")
+    return problems
+
+
+def _conventions(path: Path) -> list[Mapping[str, Any]]:
+    """Each candidate reading of the extrinsics with its median pixel error."""
+    from simbench.npz import read_convention
+
+    convention = read_convention(path)
+    return [
+        {
+            "name": reading.name,
+            "median_px": None if np.isnan(reading.error_px) else reading.error_px,
+            "chosen": reading is convention.chosen,
+        }
+        for reading in convention.readings
+    ]

@@ -1,0 +1,90 @@
+"""The files that the verbs leave: which there are, and what they are called."""
+
+import json
+import re
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from simbench.dataset import Dataset
+from simbench.files import replacing
+from simbench.metrics import metrics
+from simbench.run import RunRecord, Step, run
+from vislam.filters import Factory
+
+
+def write_dataset(dataset: Dataset, out: Path) -> list[Path]:
+    """Write NAME.npz and NAME.mcap, and return their paths."""
+    from simbench.mcap import write_dataset_mcap
+    from simbench.npz import write_npz
+
+    npz, mcap = (out / f"{dataset.name}{suffix}" for suffix in (".npz", ".mcap"))
+    write_npz(npz, dataset)
+    write_dataset_mcap(mcap, dataset)
+    return [npz, mcap]
+
+
+def record_run(
+    dataset: Dataset,
+    name: str,
+    factory: Factory,
+    out: Path,
+    on_step: Callable[[Step], None] = lambda _: None,
+) -> tuple[RunRecord, dict[str, Any], list[Path]]:
+    """Run a filter and write NAME.FILTER.mcap (while it runs), .json, .tum and the figures.
+
+    Args:
+        dataset: the data.
+        name: of the filter.
+        factory: makes it.
+        out: the directory.
+        on_step: called after each frame.
+
+    Returns:
+        The record, its metrics, and the paths.
+    """
+    from simbench import figures
+    from simbench.mcap import record_to
+    from simbench.tum import write_tum
+
+    def path(suffix: str) -> Path:
+        return out / f"{dataset.name}.{_safe(name)}{suffix}"
+
+    with record_to(path(".mcap"), dataset, name) as recorder:
+
+        def both(step: Step) -> None:
+            recorder.step(step)
+            on_step(step)
+
+        record = run(dataset, factory, name=name, on_step=both)
+        values = metrics(record)
+        recorder.finish(record, values)
+    write_json(path(".json"), values)
+    write_tum(path(".tum"), dataset.times_s, record.T_world_imu)
+    pictures = {".trajectory.png": figures.trajectories([record])}
+    if dataset.truth is not None:
+        pictures[".errors.png"] = figures.errors(record)
+    pictures[".consistency.png"] = figures.consistency(record)
+    for suffix, figure in pictures.items():
+        figures.save(figure, path(suffix))
+    return record, values, [path(s) for s in (".mcap", ".json", ".tum", *pictures)]
+
+
+def write_comparison(records: Sequence[RunRecord], out: Path) -> Path:
+    """Write NAME.trajectories.png, the runs of several filters side by side."""
+    from simbench import figures
+
+    path = out / f"{records[0].dataset.name}.trajectories.png"
+    figures.save(figures.trajectories(records), path)
+    return path
+
+
+def write_json(path: Path, value: Mapping[str, Any]) -> None:
+    """Write one JSON value, in one piece."""
+    with replacing(path) as partial:
+        partial.write_text(json.dumps(value, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def _safe(name: str) -> str:
+    """A filter's name as a part of a file's name."""
+    return re.sub(r"[^\w.+-]+", "_", name)
