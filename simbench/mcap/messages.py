@@ -60,11 +60,11 @@ _UINT32, _FLOAT32 = 6, 7
 
 
 class Frame(NamedTuple):
-    """A frame of the transform tree."""
+    """A frame of the transform tree, and its pose in its parent."""
 
     parent: str
     child: str
-    T_parent_child: Array
+    pose: Message
 
 
 def qos(latched: bool) -> str:
@@ -142,42 +142,44 @@ def quaternion(R: Array) -> Message:
     return make("geometry_msgs/Quaternion", *Rotation.from_matrix(R).as_quat().tolist())
 
 
+_UPRIGHT = quaternion(np.eye(3))
+
+
 def twist(linear: Array, angular: Array) -> Message:
     """A twist, from two vectors of shape (3,)."""
     return make("geometry_msgs/Twist", vector(linear), vector(angular))
 
 
-def transforms(ns: int, frames: list[Frame]) -> Message:
+def transforms(ns: int, *frames: Frame) -> Message:
     """A piece of the transform tree."""
-    return make("tf2_msgs/TFMessage", [_transform(ns, frame) for frame in frames])
+    return make("tf2_msgs/TFMessage", [_transform(ns, *frame) for frame in frames])
 
 
-def _transform(ns: int, frame: Frame) -> Message:
-    T = frame.T_parent_child
-    transform = make("geometry_msgs/Transform", vector(T[:3, 3]), quaternion(T[:3, :3]))
-    return make("geometry_msgs/TransformStamped", header(ns, frame.parent), frame.child, transform)
+def _transform(ns: int, parent: str, child: str, at: Message) -> Message:
+    p = at.position
+    translation = make("geometry_msgs/Vector3", p.x, p.y, p.z)
+    value = make("geometry_msgs/Transform", translation, at.orientation)
+    return make("geometry_msgs/TransformStamped", header(ns, parent), child, value)
 
 
-def pose_stamped(ns: int, T_map_body: Array) -> Message:
+def pose_stamped(ns: int, at: Message) -> Message:
     """A pose in the map."""
-    return make("geometry_msgs/PoseStamped", header(ns, "map"), pose(T_map_body))
+    return make("geometry_msgs/PoseStamped", header(ns, "map"), at)
 
 
-def pose_with_covariance_stamped(ns: int, T_map_body: Array, covariance: Array) -> Message:
+def pose_with_covariance_stamped(ns: int, at: Message, covariance: Array) -> Message:
     """A pose in the map; covariance about the map's axes, translation first, shape (6, 6)."""
-    value = make("geometry_msgs/PoseWithCovariance", pose(T_map_body), covariance.ravel())
+    value = make("geometry_msgs/PoseWithCovariance", at, covariance.ravel())
     return make("geometry_msgs/PoseWithCovarianceStamped", header(ns, "map"), value)
 
 
-def odometry(
-    ns: int, child: str, T_map_body: Array, covariance: Array, velocity: Message
-) -> Message:
+def odometry(ns: int, child: str, at: Message, covariance: Array, velocity: Message) -> Message:
     """A pose in the map with its covariance, and a twist in the body."""
     return make(
         "nav_msgs/Odometry",
         header(ns, "map"),
         child,
-        make("geometry_msgs/PoseWithCovariance", pose(T_map_body), covariance.ravel()),
+        make("geometry_msgs/PoseWithCovariance", at, covariance.ravel()),
         make("geometry_msgs/TwistWithCovariance", velocity, UNKNOWN_COVARIANCE.ravel()),
     )
 
@@ -195,17 +197,11 @@ def twist_stamped(ns: int, velocity: Message, covariance: Array) -> Message:
 
 def imu(ns: int, gyro: Array, accel: Array) -> Message:
     """A raw inertial reading, shape (3,) each; -1 says that there is no orientation."""
-    unknown, no_orientation = np.zeros(9), np.zeros(9)
-    no_orientation[0] = -1
+    unknown = np.zeros(9)
     return make(
         "sensor_msgs/Imu",
-        header(ns, "imu"),
-        quaternion(np.eye(3)),
-        no_orientation,
-        vector(gyro),
-        unknown,
-        vector(accel),
-        unknown,
+        *(header(ns, "imu"), _UPRIGHT, np.concatenate([[-1.0], unknown[1:]])),
+        *(vector(gyro), unknown, vector(accel), unknown),
     )
 
 

@@ -85,7 +85,9 @@ def read_dataset_mcap(path: Path) -> Dataset:
         )
     try:
         return _dataset(contents, metadata)
-    except (KeyError, ValueError, TypeError) as error:
+    except DatasetError:
+        raise
+    except Exception as error:  # whatever a damaged message or attachment makes its parser raise
         raise DatasetError(f"{path}: the recording is damaged: {error!r}.") from error
 
 

@@ -90,15 +90,17 @@ class Recorder:
         self._imu_written = 0
         self._start_ns = min(self._stamps_ns[:1] + self._imu_ns[:1])
         self._flush_ns = self._start_ns + SECOND_NS
-        self._slow_frames = _a_second_apart(self._stamps_ns)
-        self._path: list[m.Message] = []
+        self._slow_frames = _slow_frames(self._stamps_ns)
+        self._estimated_path: list[m.Message] = []
+        self._true_path: list[m.Message] = []
         self._channels: dict[str, Any] = {}
         self._schemas: dict[str, Any] = {}
         self._cameras = {
             f"/cam{i}/camera_info": m.camera_info(0, dataset.calibration, right=bool(i))
             for i in ((0, 1) if dataset.calibration is not None else ())
         }
-        self._writer: Any = Writer(stream)  # some of its methods carry no types
+        # Some methods of Writer carry no types. Its check sum over all finds damage to attachments.
+        self._writer: Any = Writer(stream, enable_data_crcs=True)
         self._writer.start("ros2", LIBRARY)
         self._write_head()
 
@@ -107,7 +109,7 @@ class Recorder:
         ns = self._stamps_ns[frame]
         if ns >= self._flush_ns:
             self._writer.flush()
-            self._flush_ns = ns + SECOND_NS
+            self._flush_ns += SECOND_NS * (1 + (ns - self._flush_ns) // SECOND_NS)
         self._write_imu(until=bisect_right(self._imu_ns, ns))
         self._write_readings(ns, frame)
         if self._dataset.truth is not None:
@@ -138,26 +140,26 @@ class Recorder:
             text = dataset.origin.scenario_yaml.encode()
             self._attach("scenario.yaml", "application/yaml", text)
         self._attach("calibration.json", "application/json", attachments.dump_told(dataset))
-        self._write("/tf_static", ns, m.transforms(ns, self._static_frames()))
+        self._write("/tf_static", ns, m.transforms(ns, *self._static_frames()))
         if truth is not None:
             self._attach("truth.npz", "application/zip", attachments.dump_truth(dataset, truth))
-            poses = list(map(m.pose_stamped, self._stamps_ns, truth.T_world_imu))
+            poses = map(m.pose, truth.T_world_imu)
+            self._true_path = list(map(m.pose_stamped, self._stamps_ns, poses))
             ids = np.arange(len(truth.landmarks))
-            self._write("/ground_truth/path", ns, m.path(ns, poses))
+            self._write("/ground_truth/path", ns, m.path(ns, self._true_path))
             self._write("/ground_truth/landmarks", ns, m.cloud(ns, truth.landmarks, ids))
         self._writer.flush()
 
     def _static_frames(self) -> list[m.Frame]:
-        identity, calibration = np.eye(4), self._dataset.calibration
-        frames = [m.Frame("map", "odom", identity), m.Frame("base_link", "imu", identity)]
+        here, calibration = m.pose(np.eye(4)), self._dataset.calibration
+        frames = [m.Frame("map", "odom", here), m.Frame("base_link", "imu", here)]
         if self._filter is None and self._dataset.truth is not None:
-            frames.append(m.Frame("base_link_gt", "base_link", identity))
+            frames.append(m.Frame("base_link_gt", "base_link", here))
         if calibration is not None:
-            T_cam0_cam1 = se3.from_rotation_translation(
-                np.eye(3), np.array([calibration.rig.baseline_m, 0, 0])
-            )
-            frames.append(m.Frame("imu", "cam0", calibration.T_imu_cam))
-            frames.append(m.Frame("cam0", "cam1", T_cam0_cam1))
+            T_cam0_cam1 = np.eye(4)
+            T_cam0_cam1[0, 3] = calibration.rig.baseline_m
+            frames.append(m.Frame("imu", "cam0", m.pose(calibration.T_imu_cam)))
+            frames.append(m.Frame("cam0", "cam1", m.pose(T_cam0_cam1)))
         return frames
 
     def _write_imu(self, until: int) -> None:
@@ -183,29 +185,29 @@ class Recorder:
         self._write("/twist", ns, m.twist_stamped(ns, velocity, covariance))
 
     def _write_truth(self, ns: int, frame: int, truth: Truth) -> None:
-        T = truth.T_world_imu[frame]
+        stamped = self._true_path[frame]
         velocity = m.twist(truth.linear_velocity[frame], truth.angular_velocity[frame])
-        odometry = m.odometry(ns, "base_link_gt", T, m.UNKNOWN_COVARIANCE, velocity)
-        self._write("/tf", ns, m.transforms(ns, [m.Frame("map", "base_link_gt", T)]))
+        odometry = m.odometry(ns, "base_link_gt", stamped.pose, m.UNKNOWN_COVARIANCE, velocity)
+        self._write("/tf", ns, m.transforms(ns, m.Frame("map", "base_link_gt", stamped.pose)))
         self._write("/ground_truth/odometry", ns, odometry)
-        self._write("/ground_truth/pose", ns, m.pose_stamped(ns, T))
+        self._write("/ground_truth/pose", ns, stamped)
 
     def _write_estimate(self, ns: int, step: Step) -> None:
-        dataset, T = self._dataset, step.belief.T_world_imu
-        covariance = covariance_about_map_axes(step.belief)
-        velocity = m.twist(
-            dataset.linear_velocity[step.frame], dataset.angular_velocity[step.frame]
-        )
-        self._write("/tf", ns, m.transforms(ns, [m.Frame("odom", "base_link", T)]))
-        self._write("/estimate/odometry", ns, m.odometry(ns, "base_link", T, covariance, velocity))
-        self._write("/estimate/pose", ns, m.pose_with_covariance_stamped(ns, T, covariance))
-        self._path.append(m.pose_stamped(ns, T))
-        if step.frame in self._slow_frames:
-            self._write("/estimate/path", ns, m.path(ns, self._path))
+        dataset, i = self._dataset, step.frame
+        at, covariance = m.pose(step.belief.T_world_imu), covariance_about_map_axes(step.belief)
+        velocity = m.twist(dataset.linear_velocity[i], dataset.angular_velocity[i])
+        self._write("/tf", ns, m.transforms(ns, m.Frame("odom", "base_link", at)))
+        self._write("/estimate/odometry", ns, m.odometry(ns, "base_link", at, covariance, velocity))
+        self._write("/estimate/pose", ns, m.pose_with_covariance_stamped(ns, at, covariance))
+        self._estimated_path.append(m.pose_stamped(ns, at))
+        if i in self._slow_frames:
+            self._write("/estimate/path", ns, m.path(ns, self._estimated_path))
             self._write_map(ns, step.belief)
 
     def _write_map(self, ns: int, belief: Belief) -> None:
         ids, points, covariances = belief.ids, belief.landmarks, belief.landmark_covariances
+        if not len(ids) and "/estimate/landmarks" not in self._channels:
+            return  # a filter without a map
         if len(covariances) != len(ids):  # the filter gives none
             covariances = np.full((len(ids), 3, 3), np.nan)
         variance = np.trace(covariances, axis1=-2, axis2=-1) / 3
@@ -284,13 +286,17 @@ def _band(dof: int) -> tuple[float, float]:
     return float(lower), float(upper)
 
 
-def _a_second_apart(stamps_ns: list[int]) -> set[int]:
-    """Frames at least a second apart, the last among them."""
+def _slow_frames(stamps_ns: list[int]) -> set[int]:
+    """Frames at least a second apart, the last among them; a hundred of a long run.
+
+    Each holds the whole path up to itself, which would grow with the square of the run's length.
+    """
+    spacing_ns = max(SECOND_NS, (stamps_ns[-1] - stamps_ns[0]) // 100)
     chosen, next_ns = set(), stamps_ns[-1]
     for frame in reversed(range(len(stamps_ns))):
         if stamps_ns[frame] <= next_ns:
             chosen.add(frame)
-            next_ns = stamps_ns[frame] - SECOND_NS
+            next_ns = stamps_ns[frame] - spacing_ns
     return chosen
 
 
