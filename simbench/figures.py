@@ -40,9 +40,10 @@ _STYLE: Any = [
         "axes.linewidth": 0.6,
         "axes.grid": True,
         "axes.axisbelow": True,
+        "axes.xmargin": 0,
         "grid.color": "#E8E8E8",
         "grid.linewidth": 0.5,
-        "lines.linewidth": 1.0,
+        "lines.linewidth": 0.9,
         "legend.frameon": False,
         "pdf.fonttype": 42,
         "svg.hashsalt": "simbench",
@@ -121,8 +122,8 @@ def _draw_map(ax: Axes, record: RunRecord) -> None:
         true_path = truth.T_world_imu[:, :2, 3].T
         ax.plot(*true_path, "k", dashes=(4, 2), linewidth=0.9, zorder=3, label="true path")
         title += f", ATE {rmse(ate(record.T_world_imu, truth.T_world_imu).translation_m):.3g} m"
-    for i, marker, label in ((0, "^", "start"), (-1, "s", "end")):
-        ax.plot(*path[i], f"k{marker}", markerfacecolor="w", markersize=5, zorder=4, label=label)
+    ax.plot(*path[0], "k^", markerfacecolor="w", markersize=4, zorder=4, label="start")
+    ax.plot(*path[-1], "ks", markerfacecolor="none", markersize=7, zorder=4, label="end")
     if len(record.final.landmarks):
         _dots(ax, record.final.landmarks, "o", VERMILLION, "estimated landmark")
     if truth is not None:
@@ -181,7 +182,6 @@ def errors(record: RunRecord) -> Figure:
             _say(ax, "no truth, no covariance")
         symbol, unit = (r"\rho", "m") if k < 3 else (r"\phi", "deg")
         ax.set_ylabel(f"${symbol}_{'xyz'[k % 3]}$ [{unit}]")
-        ax.margins(x=0)
     for ax in axes[-1]:
         ax.set_xlabel("time [s]")
     figure.align_ylabels()
@@ -227,7 +227,6 @@ def _judge(ax: Axes, record: RunRecord, value: Array, dof: IntArray) -> None:
     finite = np.isfinite(value * per_dof)
     if finite.any() and np.max((value * per_dof)[finite]) > 3 * np.nanmax(high):
         ax.set_yscale("log")
-    ax.margins(x=0)
 
 
 def _band(ax: Axes, times_s: Array, low: Array, high: Array, label: str) -> None:

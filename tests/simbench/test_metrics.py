@@ -137,7 +137,12 @@ def test_metrics_of_a_run_equal_those_of_evo():
     translation = evo_metrics.PoseRelation.translation_part
     degrees = evo_metrics.PoseRelation.rotation_angle_deg
     absolute = evo_errors(evo_metrics.APE(translation), true, estimated)
+    aligned = evo_trajectory.PosePath3D(poses_se3=list(estimated))
+    aligned.align(evo_trajectory.PosePath3D(poses_se3=list(true)))
     for name, expected in {
+        "ate_rmse_aligned_m": rmse(
+            evo_errors(evo_metrics.APE(translation), true, aligned.poses_se3)
+        ),
         "ate_rmse_m": np.sqrt(np.mean(absolute**2)),
         "final_position_error_m": absolute[-1],
         "final_rotation_error_deg": evo_errors(evo_metrics.APE(degrees), true, estimated)[-1],
