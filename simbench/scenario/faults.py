@@ -11,7 +11,6 @@ from simbench.scenario.scene import Scenario
 from simbench.scenario.text import Document, Location, key_of
 
 _EXPECTED = {
-    "missing": "a value, for there is no default",
     "greater_than": "a number above {gt:g}",
     "greater_than_equal": "a number of at least {ge:g}",
     "less_than": "a number below {lt:g}",
@@ -25,8 +24,6 @@ _EXPECTED = {
     "too_short": "a list of at least {min_length}",
     "too_long": "a list of at most {max_length}",
     "literal_error": "{expected}",
-    "union_tag_invalid": "one of {expected_tags}",
-    "union_tag_not_found": "a mapping with the key kind",
     "model_type": "a mapping of keys",
     "model_attributes_type": "a mapping of keys",
     "string_pattern_mismatch": "letters, digits and _ . + -, beginning with a letter or a digit",
@@ -38,14 +35,22 @@ def fault_of(error: ErrorDetails, document: Document) -> Fault:
     """One error of pydantic as a fault, with the place in the document."""
     context: dict[str, Any] = error.get("ctx", {})
     location, models = _locate(error["loc"])
-    if error["type"] == "fault":
-        location += (context["key"],) if context["key"] else ()
-        return Fault(document.place(location), key_of(location), context["text"])
-    if error["type"] == "extra_forbidden":
-        message = "unknown key; " + _known(str(location[-1]), models)
-    else:
-        expected = _EXPECTED.get(error["type"], error["msg"]).format(**context)
-        message = f"expected {expected}, got {_shown(error)}"
+    match error["type"]:
+        case "fault":
+            message = context["text"]
+            if context["key"] not in (None, *location[-1:]):
+                location += (context["key"],)
+        case "extra_forbidden":
+            message = "unknown key; " + _known(str(location[-1]), models)
+        case "union_tag_invalid":
+            message = f"expected one of {context['expected_tags']}, got {context['tag']!r}"
+            location += ("kind",)
+        case "missing":
+            message = f"expected another value, for this list is too short: {error['input']!r:.60}"
+        case kind if kind in _EXPECTED:
+            message = f"expected {_EXPECTED[kind].format(**context)}, got {_shown(error)}"
+        case _:
+            message = f"{error['msg']}, got {_shown(error)}"
     return Fault(document.place(location), key_of(location), message)
 
 
@@ -76,7 +81,8 @@ def _models(annotation: Any) -> list[type[BaseModel]]:
 def _known(key: str, models: list[type[BaseModel]]) -> str:
     """What could be meant by a key that is not known."""
     keys = [known for model in models for known in model.__pydantic_fields__]
-    if close := difflib.get_close_matches(key, keys, 1):
+    begin = [known for known in keys if known.startswith(key)]
+    if close := begin or difflib.get_close_matches(key, keys, 1):
         return f"did you mean {close[0]}?"
     return "expected one of " + ", ".join(keys)
 
@@ -86,8 +92,8 @@ def _shown(error: ErrorDetails) -> str:
     value = error["input"]
     if error["type"] in ("too_short", "too_long") and isinstance(value, list | tuple):
         return f"{len(value)}"
-    if error["type"] in ("missing", "union_tag_not_found") or value is None:
-        return "none" if value is not None else "none (leave the key out for its default)"
+    if value is None:
+        return "nothing; leave the key out for its default"
     if isinstance(value, dict):
         return "a mapping"
     return repr(value) if len(repr(value)) <= 60 else f"{repr(value)[:57]}..."

@@ -106,6 +106,8 @@ class LandmarkFile(Named):
 
 
 def _load_npy(path: Path) -> Array:
+    if not path.is_file():
+        raise DatasetError(f"{path}: expected a file, but there is none of this name.")
     try:
         # Mapped: a header that promises more than the file holds is refused, not allocated.
         points = np.array(np.load(path, mmap_mode="r", allow_pickle=False), float)

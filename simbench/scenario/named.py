@@ -29,6 +29,8 @@ class Named(Section):
         match value:
             case {"path": _, "text": _}:
                 raise fault("expected path or text, got both", key="text")
+            case {"path": None}:
+                raise fault("expected the name of a file, got nothing", key="path")
             case {"path": str(path), **rest}:
                 base = (info.context or {}).get("base_dir") or "."
                 try:
@@ -37,4 +39,4 @@ class Named(Section):
                     raise fault("{error}", key="path", error=error) from error
             case {"path": _} | {"text": _}:
                 return value
-        raise fault("expected the name of a file, got none", key="path")
+        raise fault("expected the name of a file, got nothing", key="path")

@@ -24,7 +24,7 @@ class Scenario(Section):
     seed: Annotated[Integer, Field(ge=0, lt=2**63)] = 0
     duration_s: Positive = 40.0
     """Default: 40, or where waypoints with times, or a trajectory file, end."""
-    rate_hz: Annotated[Positive, Field(le=10_000)] = 10.0
+    rate_hz: Annotated[Positive, Field(le=10_000, validate_default=True)] = 10.0
     """Frames; the twist samples share their times."""
     time_jitter: Annotated[Number, Field(ge=0, lt=0.9)] = 0.0
     """Share of the period, uniform."""
@@ -37,16 +37,17 @@ class Scenario(Section):
     told: Told = Told()
     filter: Filter = Filter()
 
+    @field_validator("trajectory", "landmarks", mode="before")
+    @classmethod
+    def _default_kind(cls, value: Any, info: ValidationInfo) -> Any:
+        kind = {"trajectory": "figure8", "landmarks": "path"}[str(info.field_name)]
+        return {"kind": kind, **value} if isinstance(value, dict) else value
+
     @field_validator("rate_hz")
     @classmethod
-    def _frames(cls, value: float, info: ValidationInfo) -> float:
-        frames = value * info.data.get("duration_s", 2 / value)
-        if not 2 <= frames <= MAX_FRAMES:
-            raise fault(
-                "expected 2 to {most} frames, got duration_s times rate_hz = {frames:g}",
-                most=MAX_FRAMES,
-                frames=frames,
-            )
+    def _enough_frames(cls, value: float, info: ValidationInfo) -> float:
+        if (duration_s := info.data.get("duration_s")) is not None:
+            _check_frames(duration_s, value)
         return value
 
     @model_validator(mode="after")
@@ -55,6 +56,7 @@ class Scenario(Section):
         if end_s is None:
             return self
         if "duration_s" not in self.model_fields_set:
+            _check_frames(end_s, self.rate_hz)
             object.__setattr__(self, "duration_s", end_s)  # frozen from here on
         elif self.duration_s > end_s + 1 / self.rate_hz:
             raise fault(
@@ -77,3 +79,14 @@ class Scenario(Section):
     def json_schema(cls) -> dict[str, Any]:
         """The JSON schema of a scene file, for editors."""
         return cls.model_json_schema()
+
+
+def _check_frames(duration_s: float, rate_hz: float) -> None:
+    """Refuse less than two frames, and more than anyone wants."""
+    if not 1 <= (intervals := duration_s * rate_hz) < MAX_FRAMES:
+        raise fault(
+            "expected 1 to {most} intervals between frames, got duration_s times rate_hz = {got:g}",
+            key="rate_hz",
+            most=MAX_FRAMES,
+            got=intervals,
+        )

@@ -110,7 +110,8 @@ def parse(text: str, where: str) -> Document:
         said = ", ".join(filter(None, (error.context, error.problem)))
         document.faults.append(Fault(where + line, "", f"expected YAML: {said}"))
     except yaml.YAMLError as error:
-        document.faults.append(Fault(where, "", f"expected YAML text: {error}"))
+        said = " ".join(str(error).split())
+        document.faults.append(Fault(where, "", f"expected YAML: {said}"))
     else:
         document.data = {} if node is None else _construct(node, (), document)
     return document
