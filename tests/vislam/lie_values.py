@@ -56,5 +56,5 @@ def elements(group=se3):
 
 def assert_same(actual, desired, *involved):
     """Equal to 1e-12 of the largest number involved, or of one: translations are of any size."""
-    scale = max([1.0, *(float(np.abs(a).max()) for a in involved)])
+    scale = max([1.0, *(float(np.abs(a).max(initial=0)) for a in involved)])
     assert_allclose(actual, desired, rtol=0, atol=1e-12 * scale)
