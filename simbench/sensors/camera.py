@@ -90,9 +90,11 @@ def sightings(
     ]
     frames = np.repeat(np.arange(len(columns)), [len(ids) for ids, _, _ in columns])
     ids, pixels, kept = (np.concatenate(column) for column in zip(*columns, strict=True))
-    if scenario.camera.tracks is not None:
+    if scenario.camera.tracks is not None and len(ids):
         u = stream(seed, run, "camera.tracks").random((len(landmarks), 2))
         kept &= _tracked(scenario.camera.tracks, frames, ids, u)
+        frames_of = np.bincount(ids[kept], minlength=len(landmarks))
+        kept &= (frames_of >= scenario.camera.tracks.min_frames)[ids]
     parts = np.searchsorted(frames[kept], np.arange(1, len(columns)))
     return Sightings.from_frames(
         list(zip(np.split(ids[kept], parts), np.split(pixels[kept], parts), strict=True))
@@ -117,7 +119,8 @@ def visible(
 
 def _inside(scenario: Scenario, pixels: Array) -> BoolArray:
     """Whether both pixels are in their images."""
-    last = np.tile(np.array(scenario.rig.image_px) - 1, 2)
+    width, height = scenario.rig.image_px
+    last = (width - 1, height - 1, width - 1, height - 1)
     return np.asarray(((pixels >= 0) & (pixels <= last)).all(axis=1))
 
 
@@ -200,7 +203,6 @@ def _tracked(tracks: Tracks, frames: IntArray, ids: IntArray, u: Array) -> BoolA
         lengths += spread * np.exp(growth * ndtri(u[owner, 0]))
     lengths = np.minimum(np.minimum(np.rint(lengths), tracks.max_frames), runs).astype(int)
     first = starts + np.floor(u[owner, 1] * (runs - lengths + 1)).astype(int)
-    lengths[lengths < shortest] = 0
 
     kept = np.zeros(len(ids), bool)
     within = np.arange(lengths.sum()) - np.repeat(np.cumsum(lengths) - lengths, lengths)
