@@ -1,0 +1,196 @@
+"""The frames that a file means are found from its own data, and not guessed where they are not."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from simbench.npz import read_convention, read_npz, write_npz
+from simbench.sensors import simulate
+from tests.simbench.scenes import PLAIN, scene
+
+REAL = Path(__file__).parents[3] / "shared/data"
+real = pytest.mark.skipif(not REAL.is_dir(), reason="the real files are not beside the project")
+
+FRD = np.diag([1.0, -1.0, -1.0, 1.0])
+STRAIGHT = {"kind": "straight", "speed_mps": 2.0}
+STILL = {"kind": "hover", "sway_m": [0, 0, 0], "yaw_deg": 0}
+
+
+def mixed(T_cam_imu):
+    """The rotation of the inverse beside the camera's position in the IMU frame."""
+    T = T_cam_imu.copy()
+    T[:3, 3] = np.linalg.inv(T_cam_imu)[:3, 3]
+    return T
+
+
+#: What a file holds under its key, from the true T_imu_cam in FLU.
+WRITTEN = {
+    "imu_T_cam/flu": lambda T: T,
+    "imu_T_cam/frd": lambda T: FRD @ T,
+    "cam_T_imu/flu": np.linalg.inv,
+    "cam_T_imu/frd": lambda T: np.linalg.inv(FRD @ T),
+    "mixed/flu": lambda T: mixed(np.linalg.inv(T)),
+    "mixed/frd": lambda T: mixed(np.linalg.inv(FRD @ T)),
+}
+
+
+def written(path, a_scene, key, name, seed=None):
+    """A simulated drive in a foreign file that means its extrinsics in the named way."""
+    write_npz(path, simulate(a_scene, seed))
+    with np.load(path) as file:
+        arrays = {
+            k: file[k] for k in ("time_stamps", "linear_velocity", "angular_velocity", "features")
+        }
+        arrays |= {"K": file["K"], "b": file["b"], key: WRITTEN[name](file["imu_T_cam"])}
+    np.savez_compressed(path, **arrays)
+    return path
+
+
+@pytest.mark.parametrize("name", WRITTEN)
+@pytest.mark.parametrize("key", ["imu_T_cam", "cam_T_imu"])
+def test_every_reading_is_found_from_a_noisy_drive_with_turns(tmp_path, key, name):
+    a_scene = scene(rig={"imu_cam": {"rotvec_deg": [2.0, -3.0, 4.0]}})
+    path = written(tmp_path / "d.npz", a_scene, key, name)
+    convention = read_convention(path)
+    assert convention.chosen.name == name
+    assert convention.clear
+    assert f"read as {name}, clearly" in convention.note
+    np.testing.assert_allclose(
+        read_npz(path).calibration.T_imu_cam, a_scene.rig.T_imu_cam, rtol=0, atol=1e-12
+    )
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        {"trajectory": {"kind": "hover"}},
+        {"trajectory": STRAIGHT},
+        {"trajectory": STILL},
+        {"trajectory": {"kind": "circle"}, "duration_s": 3.0},
+        {"imu": {"velocity": {"sigma": 2.0}, "angular_velocity": {"sigma": 0.3}}},
+        {"imu": {"velocity": {"sigma": 0.0}, "angular_velocity": {"sigma": 0.0}}},
+        {"trajectory": STRAIGHT, "imu": {"angular_velocity": {"bias_sigma": 0.05}}},
+        {"trajectory": STRAIGHT, "told": {"rotation_error_deg": [1.0, -1.0, 1.0]}},
+        {"camera": {"sigma_px": 3.0, "outliers": {"share": 0.3}}},
+    ],
+    ids=lambda changes: str(changes) or "plain",
+)
+def test_a_generated_file_is_read_as_it_stands_whatever_the_scene(tmp_path, changes, seed):
+    box = {"kind": "box", "count": 80, "size_m": [30.0, 20.0, 4.0]}
+    data = simulate(scene(PLAIN, landmarks=box, **changes), seed)
+    write_npz(tmp_path / "d.npz", data)
+    assert read_convention(tmp_path / "d.npz").chosen.name == "imu_T_cam/flu"
+    again = read_npz(tmp_path / "d.npz")
+    assert again.calibration.T_imu_cam.tobytes() == data.calibration.T_imu_cam.tobytes()
+
+
+@pytest.mark.parametrize("trajectory", [STRAIGHT, STILL], ids=lambda t: t["kind"])
+@pytest.mark.parametrize("stored", ["imu_T_cam/flu", "imu_T_cam/frd"])
+def test_a_motion_without_turns_leaves_the_frame_as_given_and_says_so(tmp_path, trajectory, stored):
+    a_scene = scene(trajectory=trajectory, landmarks={"kind": "box", "count": 80})
+    convention = read_convention(written(tmp_path / "d.npz", a_scene, "imu_T_cam", stored))
+    assert convention.chosen.name == "imu_T_cam/flu"
+    assert not convention.clear
+    assert "not clearly" in convention.note
+    assert "imu_T_cam/frd" in convention.note
+    assert "--imu-frame flu|frd" in convention.note
+
+
+def test_too_few_frames_to_be_sure_leave_the_frame_as_given(tmp_path):
+    """Ten frames: all could be better by chance once in a thousand times."""
+    path = written(tmp_path / "d.npz", scene(duration_s=1.0), "imu_T_cam", "imu_T_cam/frd")
+    convention = read_convention(path)
+    assert convention.chosen.name == "imu_T_cam/flu"
+    assert not convention.clear
+
+
+def test_readings_that_mean_the_same_matrix_are_no_rivals(tmp_path):
+    """Without a lever arm `mixed` and `cam_T_imu` are one."""
+    a_scene = scene(rig={"imu_cam": {"translation_m": [0, 0, 0]}})
+    path = written(tmp_path / "d.npz", a_scene, "cam_T_imu", "cam_T_imu/flu")
+    convention = read_convention(path)
+    assert convention.clear
+    assert convention.chosen.name == "cam_T_imu/flu"
+
+
+def test_what_the_caller_says_overrules_the_data(tmp_path):
+    path = written(tmp_path / "d.npz", scene(), "imu_T_cam", "imu_T_cam/flu")
+    T = scene().rig.T_imu_cam
+    data = read_npz(path, imu_frame="frd", extrinsics="cam_T_imu")
+    np.testing.assert_allclose(data.calibration.T_imu_cam, FRD @ np.linalg.inv(T), atol=1e-12)
+    assert any("read as cam_T_imu/frd, as asked" in note for note in data.notes)
+    data = read_npz(path, imu_frame="frd")
+    assert any("read as " in note and "/frd" in note for note in data.notes)
+    np.testing.assert_allclose(read_npz(path, imu_frame="flu").calibration.T_imu_cam, T)
+
+
+def test_a_file_without_features_keeps_what_its_key_says(tmp_path):
+    path = written(tmp_path / "d.npz", scene(), "cam_T_imu", "cam_T_imu/flu")
+    with np.load(path) as file:
+        arrays = {key: file[key] for key in file if key != "features"}
+    np.savez_compressed(path, **arrays)
+    convention = read_convention(path)
+    assert convention.chosen.name == "cam_T_imu/flu"
+    assert not convention.clear
+    assert np.isnan(convention.chosen.error_px)
+    np.testing.assert_allclose(
+        read_npz(path).calibration.T_imu_cam, scene().rig.T_imu_cam, atol=1e-12
+    )
+
+
+def predicted(data, i, twist):
+    """The median error of a frame, feature by feature, with matrices written out, or None."""
+    rig, T = data.calibration.rig, data.calibration.T_imu_cam
+    vx, vy, vz, x, y, z = twist
+    hat = np.array([[0, -z, y, vx], [z, 0, -x, vy], [-y, x, 0, vz], [0, 0, 0, 0]])
+    step = np.linalg.inv(T) @ expm(-hat * (data.times_s[i + 1] - data.times_s[i])) @ T
+    before = dict(zip(data.frame(i).ids, data.frame(i).pixels, strict=True))
+    errors = []
+    for j, after in zip(data.frame(i + 1).ids, data.frame(i + 1).pixels, strict=True):
+        if j in before:
+            uL, vL, uR, vR = before[j]
+            depth = rig.fx_px * rig.baseline_m / (uL - uR)
+            p = (step @ [*(depth * np.linalg.inv(rig.K) @ [uL, (vL + vR) / 2, 1]), 1])[:3]
+            errors.append(np.linalg.norm((rig.K @ p / p[2])[:2] - after[:2]))
+    return np.median(errors) if errors else None
+
+
+@pytest.mark.parametrize("laps", [1, 3])
+def test_errors_are_those_of_a_plain_prediction_with_the_better_of_two_twists(tmp_path, laps):
+    silent = {"velocity": {"sigma": 0.01}, "angular_velocity": {"sigma": 0.001}}
+    a_scene = scene(
+        duration_s=4.0, trajectory={"laps": laps}, imu=silent | {"twist": "instantaneous"}
+    )
+    data = simulate(a_scene)
+    write_npz(tmp_path / "d.npz", data)
+    got = read_convention(tmp_path / "d.npz").readings[0].frame_errors_px
+    samples = np.concatenate([data.linear_velocity, data.angular_velocity], axis=1)
+    both = [
+        [e for i, u in enumerate(twists) if (e := predicted(data, i, u)) is not None]
+        for twists in (samples[:-1], (samples[:-1] + samples[1:]) / 2)
+    ]
+    np.testing.assert_allclose(got, min(both, key=np.median), rtol=1e-7)
+    assert np.median(both[1]) < np.median(both[0])
+
+
+@real
+def test_the_file_of_2022_means_an_imu_frame_with_y_right_and_z_down():
+    convention = read_convention(REAL / "2022/03.npz")
+    errors = {reading.name: reading.error_px for reading in convention.readings}
+    assert convention.chosen.name == "imu_T_cam/frd"
+    assert convention.clear
+    assert errors["imu_T_cam/frd"] < 2.5
+    assert errors["imu_T_cam/flu"] > 20
+
+
+@real
+def test_the_file_of_2019_mixes_a_rotation_and_a_position():
+    convention = read_convention(REAL / "2019/0020.npz")
+    errors = {reading.name: reading.error_px for reading in convention.readings}
+    assert convention.chosen.name == "mixed/flu"
+    assert convention.clear
+    assert errors["mixed/flu"] < 0.75 * errors["cam_T_imu/flu"]
