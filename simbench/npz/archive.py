@@ -1,11 +1,13 @@
 """Members of an `.npz` archive, read with distrust: nothing is unpickled, no size is believed."""
 
+import lzma
 import zipfile
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from math import prod
 from pathlib import Path
+from tokenize import TokenError
 from typing import IO, Any, Literal, NamedTuple
 
 import numpy as np
@@ -24,6 +26,20 @@ _HEADER_READERS = {
     (1, 0): np.lib.format.read_array_header_1_0,
     (2, 0): np.lib.format.read_array_header_2_0,
 }
+
+
+#: What zipfile, its decompressors and numpy's header reader raise on bytes that are not theirs.
+_DAMAGE = (
+    zipfile.BadZipFile,
+    zlib.error,
+    lzma.LZMAError,
+    EOFError,
+    NotImplementedError,
+    OSError,
+    SyntaxError,
+    TokenError,
+    ValueError,
+)
 
 
 class Header(NamedTuple):
@@ -141,7 +157,7 @@ class Archive:
                         "the file is damaged",
                     )
                 yield header, stream
-        except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, ValueError) as error:
+        except _DAMAGE as error:
             raise self.error(key, f"cannot be read, the file is damaged: {error}") from error
 
 
@@ -156,7 +172,7 @@ def opened(path: Path) -> Iterator[Archive]:
         zip_ = zipfile.ZipFile(path)
     except OSError as error:
         raise DatasetError(f"{path}: cannot be opened: {error.strerror or error}.") from error
-    except zipfile.BadZipFile as error:
+    except (zipfile.BadZipFile, NotImplementedError, ValueError) as error:
         raise DatasetError(
             f"{path}: expected an .npz archive, but the file is none or its end is missing "
             f"({error}). Copy or make it again."

@@ -365,7 +365,15 @@ def test_features_that_are_all_seen_beyond_reason_are_refused_as_they_are_read(p
 
 @pytest.mark.parametrize(
     "raw",
-    [b"", b"\x93NUMPY", b"\x93NUMPY\x09\x00" + bytes(50), b"\x93NUMPY\x01\x00\xff\xff{", b"x" * 99],
+    [
+        b"",
+        b"\x93NUMPY",
+        b"\x93NUMPY\x09\x00" + bytes(50),
+        b"\x93NUMPY\x01\x00\xff\xff{",
+        b"x" * 99,
+        b"\x93NUMPY\x01\x00\x08\x00{'descr'",
+        b"\x93NUMPY\x01\x00\x08\x00\xff(((((((",
+    ],
 )
 def test_a_member_that_is_no_array_is_refused(path, raw):
     member(foreign(path, b=None), "b", raw)
@@ -389,6 +397,19 @@ def test_a_damaged_file_is_refused_or_still_reads(tmp_path_factory, short_file, 
         raw[at % len(raw)] = data.draw(st.integers(0, 255))
     path.write_bytes(raw)
     with suppress(DatasetError):
+        read_npz(path)
+
+
+@pytest.mark.parametrize(
+    ("signature", "at", "value"),
+    [(b"PK\x01\x02", 6, 200), (b"PK\x01\x02", 45, 255), (b"PK\x01\x02", 10, 99)],
+    ids=["version", "offset", "compression"],
+)
+def test_a_directory_that_makes_no_sense_is_refused(path, signature, at, value):
+    raw = bytearray(path.read_bytes())
+    raw[raw.find(signature) + at] = value
+    path.write_bytes(raw)
+    with pytest.raises(DatasetError, match=r"rich\.npz"):
         read_npz(path)
 
 
