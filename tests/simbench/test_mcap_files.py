@@ -318,6 +318,13 @@ def test_no_damaged_byte_changes_what_a_filter_is_told(tmp_path, whole):
     assert refused > 100
 
 
+def test_changed_digit_of_what_a_filter_is_told_is_found(tmp_path, whole):
+    path = tmp_path / "damaged.mcap"
+    assert whole.count(b"552.554") == 2
+    path.write_bytes(whole.replace(b"552.554", b"552.555"))
+    assert "damaged" in read_or_error(path)
+
+
 def read_or_error(path):
     """The dataset of a recording, or the error, which must name the file."""
     try:

@@ -108,6 +108,7 @@ def test_every_topic_is_there_with_its_type_as_cdr_of_profile_ros2(made):
         header = reader.get_header()
     schemas = {c.topic: contents.schemas[c.schema_id] for c in contents.channels.values()}
     assert {topic: schema.name for topic, schema in schemas.items()} == TYPES
+    assert len(contents.channels) == len(TYPES)
     assert {schema.encoding for schema in schemas.values()} == {"ros2msg"}
     assert {c.message_encoding for c in contents.channels.values()} == {"cdr"}
     assert len(contents.schemas) == len(set(TYPES.values()))
