@@ -214,6 +214,7 @@ def test_transform_tree_has_one_root_and_leads_to_the_cameras_and_the_truth(made
     dataset = made.dataset
     static = {t.child_frame_id: t for t in made.topics["/tf_static"][0][1].transforms}
     moving = [m.transforms for _, m in made.topics["/tf"]]
+    assert {t.child_frame_id for ts in moving for t in ts}.isdisjoint(static)
     for i in range(FRAMES):
         tree = dict(static)
         for transforms in moving[2 * i : 2 * i + 2]:
