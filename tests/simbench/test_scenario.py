@@ -32,6 +32,15 @@ def test_every_scene_of_the_repository_loads_and_says_what_it_is_for(path):
     assert loads(scene.to_yaml()) == scene
 
 
+@pytest.mark.parametrize(
+    "path", [path for path in SCENES if path.stem != "drive"], ids=lambda path: path.stem
+)
+def test_depths_stay_where_a_new_landmark_is_near_gaussian(path):
+    scene = load(path)
+    rig, sigma_px = scene.rig, np.max(scene.camera.sigma_px)
+    assert rig.depth_m[1] < 0.05 * rig.fx_px * rig.baseline_m / (np.sqrt(2) * sigma_px)
+
+
 def test_an_empty_file_is_a_scene_named_after_itself(tmp_path):
     (tmp_path / "my scene.yaml").touch()
     scene = load(tmp_path / "my scene.yaml")

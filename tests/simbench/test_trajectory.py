@@ -1,4 +1,5 @@
 from functools import reduce
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
 from simbench import trajectory
-from simbench.scenario import TRAJECTORIES, loads
+from simbench.scenario import TRAJECTORIES, load, loads
 from simbench.tum import write_tum
 
 POINTS = [[0.0, 0.0, 0.0], [10.0, 1.0, 0.5], [15.0, 8.0, 1.0], [8.0, 12.0, -1.0], [2.0, 7.0, 0.0]]
@@ -243,6 +244,14 @@ def test_a_random_motion_keeps_its_bounds_and_its_seed(seed, sizes, yaw):
     np.testing.assert_array_equal(trajectory.make(scene, seed).T_world_imu(t), Ts)
     if min(sizes) > 0:
         assert (trajectory.make(scene, seed + 1).T_world_imu(t) != Ts).any()
+
+
+def test_the_drive_has_the_size_of_the_real_one():
+    scene = load(Path(__file__).parents[2] / "scenarios" / "drive.yaml")
+    assert round(scene.duration_s * scene.rate_hz) + 1 == 1010
+    t = np.linspace(0, scene.duration_s, 5001)
+    p = trajectory.make(scene, scene.seed).T_world_imu(t)[:, :3, 3]
+    assert np.linalg.norm(np.diff(p, axis=0), axis=1).sum() == pytest.approx(1342, abs=10)
 
 
 def test_a_recorded_trajectory_comes_back_through_a_file(tmp_path):
