@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
+from simbench.conventions import Motion
 from simbench.npz import read_convention, read_npz, write_npz
 from simbench.sensors import simulate
 from tests.simbench.scenes import PLAIN, scene
@@ -175,6 +176,21 @@ def test_errors_are_those_of_a_plain_prediction_with_the_better_of_two_twists(tm
     ]
     np.testing.assert_allclose(got, min(both, key=np.median), rtol=1e-7)
     assert np.median(both[1]) < np.median(both[0])
+
+
+def test_a_reading_that_puts_features_behind_the_camera_has_no_finite_error():
+    """Even where the point lies on the optical axis, whose pixel would be the same behind."""
+    back = np.tile(np.eye(4), (2, 1, 1, 1))
+    back[..., 2, 3] = -20.0
+    rig = simulate(scene(duration_s=0.2)).calibration.rig
+    motion = Motion(
+        rig=rig,
+        steps=back,
+        start=np.array([0, 1]),
+        points=np.array([[0.0, 0.0, 5.0]]),
+        next_px=np.array([[rig.cx_px, rig.cy_px]]),
+    )
+    assert motion.prediction_errors(np.eye(4)).tolist() == [np.inf]
 
 
 @real
