@@ -168,9 +168,11 @@ def test_waypoints_without_times_share_the_duration_out_by_distance():
 
 @pytest.mark.parametrize("name", [*SPLINES, "file"])
 def test_acceleration_is_continuous_at_the_waypoints(name):
-    body, inner, step = make(name), knots(name)[1:-1], 1e-7
+    body, step = make(name), 1e-7
+    # Also where a natural spline goes over into a straight line; given rotations have no such end.
+    instants = knots(name)[1:-1] if name in ("quaternions", "file") else knots(name)
     # The steepest change is some hundreds a second, so what is no jump stays below 1e-4.
-    before, after = body.acceleration(inner - step), body.acceleration(inner + step)
+    before, after = (body.acceleration(instants + side) for side in (-step, step))
     np.testing.assert_allclose(after, before, rtol=0, atol=1e-4)
 
 
