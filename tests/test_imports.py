@@ -36,9 +36,11 @@ LAYERS = [
     "simbench.filters",
     "simbench.run",
     "simbench.metrics",
+    "simbench.checks",
     "simbench.mcap",
     "simbench.figures",
     "simbench.source",
+    "simbench.info",
     "simbench.outputs",
     "simbench.cli",
 ]
