@@ -154,7 +154,10 @@ needs_cli = pytest.mark.skipif(
     not (ROOT / "simbench/cli.py").exists() and not (ROOT / "simbench/cli").exists(),
     reason="simbench.cli does not exist yet",
 )
-ANSWERS = [["--help"], *(["list", what] for what in ("filters", "trajectories", "landmarks"))]
+ANSWERS = [
+    ["--help"],
+    *(["list", what] for what in ("filters", "trajectories", "landmarks", "schema")),
+]
 
 
 def answer(arguments: list[str]) -> list[str]:
