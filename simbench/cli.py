@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 DONE, FAILED, WRONG_INPUT, INTERNAL, INTERRUPTED = 0, 1, 2, 3, 130
 
 
-class Gate(click.ParamType):
+class Gate(click.ParamType[float | str]):
     """A probability, or ``none``."""
 
     name = "P|none"

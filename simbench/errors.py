@@ -28,7 +28,12 @@ class OutputError(SimbenchError):
 
 
 class FilterFailure(SimbenchError):
-    """The filter under test raised, or returned what is no belief; says at which call."""
+    """The filter under test raised, or returned what is no belief: `call` and `reason` say it."""
+
+    def __init__(self, call: str, reason: str) -> None:
+        """The message is the call, such as "update 2", and the reason behind it."""
+        super().__init__(f"{call} {reason}")
+        self.call, self.reason = call, reason
 
 
 @dataclass(frozen=True, slots=True)

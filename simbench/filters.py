@@ -3,18 +3,55 @@
 import difflib
 import importlib
 import sys
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import entry_points
 from pathlib import Path
-from typing import cast
+from types import MappingProxyType
+from typing import TYPE_CHECKING
 
 from simbench.errors import InputError
-from vislam.filters import FILTERS, Factory
+
+if TYPE_CHECKING:
+    from vislam.filters import Factory
+
+#: Ours: a line on each, and where its factory is. Nothing is imported before it is asked for.
+FILTERS = MappingProxyType(
+    {
+        "dead-reckoning": (
+            "IMU localisation by EKF prediction, the paper's III.A",
+            "vislam.filters:DeadReckoning",
+        ),
+        "mapping": (
+            "landmarks on the dead-reckoned trajectory, the paper's III.B",
+            "vislam.filters:Mapping",
+        ),
+        "mapping-truth": (
+            "landmarks on the true trajectory",
+            "vislam.filters:Mapping.on_truth",
+        ),
+        "slam": (
+            "pose and landmarks with one covariance, the paper's III.C",
+            "vislam.filters:EkfSlam",
+        ),
+        "slam-constant-prior": (
+            "slam with the paper's start of a landmark, a constant covariance: inconsistent",
+            "vislam.filters:slam_constant_prior",
+        ),
+        "slam-fej": (
+            "slam with first-estimates Jacobians, in H and in F",
+            "vislam.filters:slam_fej",
+        ),
+        "slam-transport": (
+            "slam whose covariance is carried along when an update moves the estimate",
+            "vislam.filters:slam_transport",
+        ),
+    }
+)
 
 #: Distributions register a factory under a name of their own in this entry-point group.
 GROUP = "simbench.filters"
 
 
-def resolve(name: str) -> Factory:
+def resolve(name: str) -> "Factory":
     """The factory behind a name.
 
     Args:
@@ -24,10 +61,10 @@ def resolve(name: str) -> Factory:
         InputError: there is no such filter, or it cannot be imported.
     """
     if name in FILTERS:
-        return cast(Factory, FILTERS[name][1])
+        return _load(name, FILTERS[name][1])
     registered = _registered()
     if name in registered:
-        return _load(name, registered[name].value)
+        return _load(name, registered[name])
     if ":" in name:
         return _load(name, name)
     close = difflib.get_close_matches(name, known(), n=1)
@@ -38,15 +75,15 @@ def resolve(name: str) -> Factory:
 def known() -> dict[str, str]:
     """The filters by name, with a line on each."""
     ours = {name: about for name, (about, _) in FILTERS.items()}
-    theirs = {name: f"registered as {point.value}" for name, point in _registered().items()}
+    theirs = {name: f"registered as {value}" for name, value in _registered().items()}
     return theirs | ours
 
 
-def _registered() -> dict[str, EntryPoint]:
-    return {point.name: point for point in entry_points(group=GROUP)}
+def _registered() -> dict[str, str]:
+    return {point.name: point.value for point in entry_points(group=GROUP)}
 
 
-def _load(name: str, value: str) -> Factory:
+def _load(name: str, value: str) -> "Factory":
     module_name, _, attributes = value.partition(":")
     here = str(Path.cwd())
     sys.path.insert(0, here)

@@ -106,7 +106,7 @@ def run(
     Raises:
         FilterFailure: the filter raised, or its pose is not finite or not of shape (4, 4).
     """
-    watch = _Watch()
+    watch = Watch()
     filter_ = watch("start", factory, task_of(dataset))
     predict: Callable[[Any, float], None] = filter_.predict
     raw = getattr(filter_, "motion", "twist") == "imu"
@@ -129,18 +129,23 @@ def run(
     )
 
 
-class _Watch:
+class Watch:
     """Calls into the filter under test: adds up their time, and names the call that raises."""
 
     def __init__(self) -> None:
         self.total_s = 0.0
 
     def __call__(self, call: str, function: Callable[P, R], *args: P.args, **kwargs: P.kwargs) -> R:
+        """Call the function, under the name `call`.
+
+        Raises:
+            FilterFailure: it raised.
+        """
         start = time.perf_counter()
         try:
             return function(*args, **kwargs)
         except Exception as error:
-            raise FilterFailure(f"{call} raised {type(error).__name__}: {error}") from error
+            raise FilterFailure(call, f"raised {type(error).__name__}: {error}") from error
         finally:
             self.total_s += time.perf_counter() - start
 
@@ -149,8 +154,9 @@ def _checked(i: int, belief: Belief) -> Belief:
     shape = np.shape(belief.T_world_imu)
     if shape != (4, 4) or not np.isfinite(belief.T_world_imu).all():
         raise FilterFailure(
-            f"update {i} left a pose that is not usable: expected finite numbers of shape (4, 4), "
-            f"got shape {shape}: {np.array2string(np.asarray(belief.T_world_imu), precision=3)}"
+            f"update {i}",
+            "left a pose that is not usable: expected finite numbers of shape (4, 4), got shape "
+            f"{shape}: {np.array2string(np.asarray(belief.T_world_imu), precision=3)}",
         )
     return belief
 
@@ -167,7 +173,7 @@ def _imu_motions(dataset: Dataset, i: int) -> Iterator[tuple[ImuSample, float]]:
     """The raw samples from frame i to the next: each held until the next sample or frame."""
     imu = dataset.imu
     if imu is None:
-        raise FilterFailure("start: the filter asks for raw IMU samples, and the data hold none.")
+        raise FilterFailure("start", "asks for raw IMU samples, and the data hold none.")
     begin, end = dataset.times_s[i], dataset.times_s[i + 1]
     first = max(int(np.searchsorted(imu.times_s, begin, side="right")) - 1, 0)
     behind = int(np.searchsorted(imu.times_s, end, side="left"))

@@ -112,7 +112,7 @@ def _open(path: Path, kind: Kind, told: Told) -> Dataset:
 
 def _refuse_misplaced(path: Path, kind: Kind, told: Told) -> None:
     """Refuse options that would be silently without effect."""
-    of_kind = {
+    of_kind: dict[Kind, dict[str, object]] = {
         Kind.SCENARIO: {"--seed": told.seed, "--run": told.run, "--set": told.overrides or None},
         Kind.DATASET: {
             "--imu-frame": told.imu_frame,

@@ -10,8 +10,9 @@ from scipy.special import ndtri
 from simbench.dataset import Sightings
 from simbench.rng import stream
 from simbench.scenario import Scenario
-from simbench.scenario.sensors import Tracks
+from simbench.scenario.sensors import Rig, Tracks
 from vislam.arrays import Array, BoolArray, IntArray
+from vislam.camera import StereoRig
 
 #: What `StereoRig` of the filter uses: less is not reported.
 MIN_DISPARITY_PX = 1.0
@@ -21,11 +22,10 @@ ON_WALL = 1e-9
 TRACK_SIGMAS = 3.5
 
 
-def camera_matrices(scenario: Scenario) -> tuple[Array, Array]:
+def camera_matrices(rig: Rig | StereoRig, T_imu_cam: Array) -> tuple[Array, Array]:
     """P = K [R | t] of the left and the right camera, from the IMU frame, each (3, 4)."""
-    rig = scenario.rig
     K = np.array([[rig.fx_px, 0, rig.cx_px], [0, rig.fy_px, rig.cy_px], [0, 0, 1]])
-    R, p = rig.T_imu_cam[:3, :3].T, rig.T_imu_cam[:3, 3]
+    R, p = T_imu_cam[:3, :3].T, T_imu_cam[:3, 3]
     left = K @ np.column_stack([R, -R @ p])
     right = left - K @ np.column_stack([np.zeros((3, 3)), [rig.baseline_m, 0, 0]])
     return left, right
@@ -83,7 +83,7 @@ def sightings(
         Ts_world_imu: true poses at the frames, shape (T, 4, 4).
         landmarks: in the world, shape (M, 3).
     """
-    matrices = camera_matrices(scenario)
+    matrices = camera_matrices(scenario.rig, scenario.rig.T_imu_cam)
     columns = [
         _reported(scenario, _Chance(seed, run, i), *visible(scenario, matrices, T, landmarks))
         for i, T in enumerate(Ts_world_imu)

@@ -50,7 +50,7 @@ def test_both_projections_agree(points, lens, lever, turn):
     a_scene = scene(rig=rig | {"imu_cam": {"translation_m": lever, "rotvec_deg": turn}})
     p_cam = points * [20, 20, 24.75] + [0, 0, 25.25]
     p_imu = se3.apply(a_scene.rig.T_imu_cam, p_cam)
-    ours, depth = projected(camera_matrices(a_scene), p_imu)
+    ours, depth = projected(camera_matrices(a_scene.rig, a_scene.rig.T_imu_cam), p_imu)
     theirs = vislam_camera.project(StereoRig(**rig), p_cam)
     scale = (max(fx, fy) * 22 + 1000 * 50) / p_cam[:, 2:]
     assert (np.abs(ours - theirs) <= 1e-12 * scale).all()

@@ -10,6 +10,8 @@ from vislam.types import Belief, StereoFrame, Task, Twist
 class DeadReckoning:
     """Integrates the twist, and the covariance that it gathers; frames are of no use to it."""
 
+    batched = True
+
     def __init__(self, task: Task) -> None:
         """Start at the prior pose."""
         prior = task.prior

@@ -55,6 +55,8 @@ class Mapping:
     The belief says nothing of the pose's covariance: the pose is not estimated here.
     """
 
+    batched = True
+
     def __init__(self, task: Task, poses: Poses | None = None) -> None:
         """Start with the known map of the prior, or an empty one."""
         self.calibration, self.noise, self.gate = task.calibration, task.noise, task.gate

@@ -13,9 +13,11 @@ class Filter(Protocol):
     frame 1, and so on. A filter owns its arrays and changes them in place; what it hands out is a
     snapshot that later calls leave alone.
 
-    Two optional members: a class attribute ``motion = "imu"`` asks for raw `ImuSample`s in place of
-    twists (several a frame); a method ``finish() -> Belief`` is called once, last, by a filter
-    that has something to do at the end, and returns the final belief over all landmarks.
+    Optional members: a class attribute ``motion = "imu"`` asks for raw `ImuSample`s in place of
+    twists (several a frame); a class attribute ``batched = True`` says that prior, twists and
+    pixels may carry a leading batch axis, which makes an audit much faster; a method ``finish() ->
+    Belief`` is called once, last, by a filter that has something to do at the end, and returns the
+    final belief over all landmarks.
     """
 
     def predict(self, motion: Twist, dt: float) -> None:

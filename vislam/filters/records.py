@@ -17,23 +17,31 @@ MAP = slice(6, None)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Linear:
-    """x_R <- F x_R + w, w ~ N(0, Q): a prediction.
+    """x_R <- F x_R + w, w ~ N(0, Q), and m <- m + M x_R: a prediction, or a transport.
 
     Attributes:
         F: shape (..., 6, 6).
-        Q: shape (..., 6, 6).
+        Q: shape (..., 6, 6); None without noise.
+        M: shape (..., 3m, 6); None where the landmarks stay as they are.
     """
 
     F: Array
-    Q: Array
+    Q: Array | None = None
+    M: Array | None = None
 
     def forward(self, P: Array) -> Array:
         """The covariance afterwards; both cross blocks move with the pose (the paper, III.C.2)."""
-        rows = self.F @ P[..., POSE, :]
         P = P.copy()
-        P[..., POSE, MAP] = rows[..., MAP]
-        P[..., MAP, POSE] = transposed(rows[..., MAP])
-        P[..., POSE, POSE] = symmetrised(rows[..., POSE] @ transposed(self.F) + self.Q)
+        pose, cross = P[..., POSE, POSE].copy(), P[..., POSE, MAP]
+        if self.M is not None:
+            by_map = self.M @ cross
+            P[..., MAP, MAP] += by_map + transposed(by_map)
+            P[..., MAP, MAP] += symmetrised(self.M @ pose @ transposed(self.M))
+            cross = cross + pose @ transposed(self.M)
+        P[..., POSE, MAP] = self.F @ cross
+        P[..., MAP, POSE] = transposed(P[..., POSE, MAP])
+        pose = self.F @ pose @ transposed(self.F)
+        P[..., POSE, POSE] = symmetrised(pose if self.Q is None else pose + self.Q)
         return P
 
 

@@ -8,6 +8,7 @@ sight, not on the size of the map.
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -58,6 +59,8 @@ class Parts:
         whitening: of a residual.
         gate: which sightings to accept.
         birth: new landmarks, their Jacobian by the pose's error, their own covariance.
+        transport: what an update that moved the estimate from (pose, landmarks) to (pose,
+            landmarks) does to the covariance besides; None for nothing.
     """
 
     chart: Chart = RIGHT
@@ -73,6 +76,7 @@ class Parts:
     birth: Callable[[Calibration, Noise, Array, Array, Array], tuple[Array, Array, Array]] = (
         model.inverse_observation
     )
+    transport: Callable[[Array, Array, Array, Array], Linear] | None = None
 
 
 PAPER = Parts()
@@ -84,6 +88,8 @@ class EkfSlam:
     The estimate is `x`; `P` is the covariance of its error (pose, landmarks in the order of `ids`),
     in the chart of `parts`. Every change of `P` is one record of `vislam.filters.records`.
     """
+
+    batched = True
 
     def __init__(self, task: Task, parts: Parts = PAPER) -> None:
         """Start at the prior.
@@ -171,7 +177,10 @@ class EkfSlam:
             passed = parts.gate(observation.distances() + white[..., 3] ** 2, self.gate)
         correction = observation.only(passed).correction()
         self._apply(correction)
-        x.T, x.landmarks = parts.chart.retract(x.T, x.landmarks, correction.delta)
+        T, landmarks = x.T, x.landmarks
+        x.T, x.landmarks = parts.chart.retract(T, landmarks, correction.delta)
+        if parts.transport is not None and len(correction.slots):
+            self._apply(parts.transport(T, landmarks, x.T, x.landmarks))
 
         kept = front[passed] if passed.ndim == 1 else front
         whitened = np.zeros(pixels.shape)
@@ -214,3 +223,7 @@ class EkfSlam:
         self.ids = np.delete(self.ids, slots)
         x.landmarks = np.delete(x.landmarks, slots, axis=-2)
         x.landmarks_first = np.delete(x.landmarks_first, slots, axis=-2)
+
+
+#: The paper's own start of a landmark: what it is, inconsistent.
+slam_constant_prior = partial(EkfSlam, parts=Parts(birth=model.constant_prior))

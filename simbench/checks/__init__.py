@@ -1,0 +1,1 @@
+"""What a filter must satisfy. Each check is a function that returns a result with its reason."""

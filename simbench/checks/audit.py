@@ -1,0 +1,395 @@
+"""Is the code right? The exact audit: a claimed covariance against the errors' second moment.
+
+The errors of a filter after a call are a smooth function e(w) of the noise w, standardised. For
+small noise e = J w, and the covariance that the filter claims must be J J^T. A design of vectors w
+whose second moment is exactly the identity (the rows of a Hadamard matrix, with both signs) gives
+J J^T from finitely many runs: there is no chance in it, and so no false alarm. Only the noise that
+is realised is made small, by eps; the filter is told the real one, so its gates stay open and its
+constants are judged as they are.
+
+What remains of the difference between claim and second moment falls as eps^2 where it is
+nonlinearity, and stays where it is a mistake. The first call after which something stays says where
+the mistake is. The filter is a black box: nothing of it is differentiated by hand.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import block_diag, hadamard
+
+from simbench.checks.short_drive import Readings, ShortDrive
+from simbench.errors import FilterFailure
+from simbench.run import Watch
+from vislam.arrays import Array
+from vislam.filters import Factory
+from vislam.types import Belief, Innovation
+
+EPS = (1e-3, 1e-4)
+#: What may remain when eps goes to zero: rounding, far from the origin, leaves up to 1e-7.
+TOLERANCE = 1e-6
+#: Without noise a right filter stands on the truth to rounding, metres and radians.
+STANDSTILL = 1e-8
+#: Runs of one batch: as many as keep the state of a small scene in the processor's cache.
+BATCH = 256
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Finding:
+    """Where a filter's claim first parts from the truth.
+
+    Attributes:
+        call: such as "predict 2", numbered by the frame that it starts from or takes in.
+        block: which part of the covariance, "innovation covariance", "innovation whiteness",
+            "estimate" (wrong even without noise) or "exception".
+        claimed, true: the element that differs most, as the filter has it and as it is.
+        deviation: their difference over the two standard deviations.
+        reason: in words, where numbers do not say it.
+    """
+
+    call: str
+    block: str
+    claimed: float | None = None
+    true: float | None = None
+    deviation: float | None = None
+    reason: str = ""
+
+    def __str__(self) -> str:
+        if self.reason:
+            return f"{self.call} {self.reason}"
+        return f"{self.call}: {self.block}, claimed {self.claimed:.4g}, true {self.true:.4g}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Deviations:
+    """By how much claim and truth differ at one eps, the worst over all calls.
+
+    Attributes:
+        eps: scale of the realised noise.
+        block: elements of the covariance, over two standard deviations: the judge.
+        pose_nees, joint_nees: mean NEES over eps^2, minus its degrees of freedom; None where the
+            filter has no such covariance.
+        nis: mean NIS over eps^2 and its degrees of freedom, minus 1.
+        whiteness: mean products of whitened innovations of different updates, over eps^2.
+    """
+
+    eps: float
+    block: float
+    pose_nees: float | None
+    joint_nees: float | None
+    nis: float | None
+    whiteness: float | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SceneAudit:
+    """The audit of a filter on one scene.
+
+    Attributes:
+        scene: its name.
+        first: the first deviation that does not vanish with eps, None where there is none.
+        deviations: one for each eps, the largest eps first; empty where the filter raised.
+        scalars: of noise in the scene.
+    """
+
+    scene: str
+    first: Finding | None
+    deviations: tuple[Deviations, ...]
+    scalars: int
+
+    @property
+    def passed(self) -> bool:
+        """Whether every deviation vanishes with eps."""
+        return self.first is None
+
+    @property
+    def order(self) -> float | None:
+        """The power of eps with which the block deviation falls: 2 for a right filter."""
+        if len(self.deviations) < 2 or not self.deviations[1].block:
+            return None
+        a, b = self.deviations[:2]
+        return float(np.log(a.block / b.block) / np.log(a.eps / b.eps))
+
+    @property
+    def noise_at_ten_percent(self) -> float | None:
+        """At how many times the scene's noise the deviation of a block reaches 10 %.
+
+        Below 1 the scene is outside the linear regime, where no EKF's covariance can be trusted.
+        """
+        if not self.deviations or not self.deviations[0].block:
+            return None
+        return float(self.deviations[0].eps * np.sqrt(0.1 / self.deviations[0].block))
+
+
+def audit(factory: Factory, drive: ShortDrive, eps: tuple[float, float] = EPS) -> SceneAudit:
+    """Audit a filter on a short drive.
+
+    Args:
+        factory: makes the filter.
+        drive: the scene.
+        eps: two scales of the realised noise, the larger first.
+    """
+
+    def result(first: Finding | None, *deviations: Deviations) -> SceneAudit:
+        return SceneAudit(
+            scene=drive.dataset.name, first=first, deviations=deviations, scalars=drive.scalars
+        )
+
+    try:
+        claims = tuple(_calls(factory, drive, drive.realise(np.zeros(drive.scalars))))
+        for claim in claims:
+            if (finding := _without_noise(claim, drive)) is not None:
+                return result(finding)
+        moments = [_Moments.of(factory, drive, claims, scale) for scale in eps]
+    except FilterFailure as failure:
+        return result(Finding(call=failure.call, block="exception", reason=failure.reason))
+    return result(_first(claims, moments), *(_deviations(claims, each) for each in moments))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Call:
+    """What a filter held after a call.
+
+    Attributes:
+        name: of the call.
+        frame: the index of the true state that it is compared with.
+        belief: after the call.
+        whitened: of an update with an innovation, flat, shape (..., j).
+    """
+
+    name: str
+    frame: int
+    belief: Belief
+    whitened: Array | None
+
+
+def _calls(factory: Factory, drive: ShortDrive, readings: Readings) -> Iterator[Call]:
+    """Run a filter, and give what it holds after each call."""
+    watch = Watch()
+    filter_ = watch("start", factory, replace(drive.task, prior=readings.prior))
+
+    def held(name: str, frame: int, innovation: Innovation | None = None) -> Call:
+        belief = watch(name, filter_.belief, joint=True)
+        whitened = None
+        if innovation is not None:
+            shape = innovation.whitened.shape
+            whitened = innovation.whitened.reshape(*shape[:-2], shape[-2] * shape[-1])
+        return Call(name=name, frame=frame, belief=belief, whitened=whitened)
+
+    for i, frame in enumerate(readings.frames):
+        if i:
+            tau = float(drive.intervals_s[i - 1])
+            watch(f"predict {i - 1}", filter_.predict, readings.twists[i - 1], tau)
+            yield held(f"predict {i - 1}", i)
+        innovation = watch(f"update {i}", filter_.update, frame)
+        yield held(f"update {i}", i, innovation)
+
+
+def _without_noise(claim: Call, drive: ShortDrive) -> Finding | None:
+    """A filter that is given no noise at all has no excuse for an error."""
+    error = claim.belief.error(drive.state(claim.frame))
+    if np.isfinite(error).all() and np.abs(error).max(initial=0.0) < STANDSTILL:
+        return None
+    return Finding(
+        call=claim.name,
+        block="estimate",
+        reason=f"is wrong even without noise: the error is {np.abs(error).max():.3g}",
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Moments:
+    """Second moments over the design, divided by eps^2.
+
+    Attributes:
+        eps: scale of the realised noise.
+        errors: of the error vector after each call, shapes (d, d).
+        whitened: of the whitened innovations of all updates in one vector, shape (j, j).
+    """
+
+    eps: float
+    errors: tuple[Array, ...]
+    whitened: Array
+
+    @classmethod
+    def of(
+        cls, factory: Factory, drive: ShortDrive, claims: tuple[Call, ...], eps: float
+    ) -> "_Moments":
+        errors: list[Array] = []
+        whitened: Array | float = 0.0
+        design = _design(drive.scalars)
+        for w in _batches(factory, drive, eps * design):
+            runs = tuple(_calls(factory, drive, drive.realise(w)))
+            sums = [
+                _gram(_error(call, claim, drive)) for call, claim in zip(runs, claims, strict=True)
+            ]
+            errors = [a + b for a, b in zip(errors, sums, strict=True)] if errors else sums
+            innovations = [call.whitened for call in runs if call.whitened is not None]
+            whitened = whitened + _gram(
+                np.concatenate([np.empty((*w.shape[:-1], 0)), *innovations], -1)
+            )
+        scale = eps**2 * len(design)
+        return cls(
+            eps=eps, errors=tuple(e / scale for e in errors), whitened=np.asarray(whitened / scale)
+        )
+
+
+def _design(scalars: int) -> Array:
+    """Vectors whose second moment is the identity, of both signs: shape (2n, N)."""
+    order = 1 << max(scalars - 1, 0).bit_length()
+    rows = hadamard(order, dtype=float)[:, :scalars]
+    return np.concatenate([rows, -rows])
+
+
+def _batches(factory: Factory, drive: ShortDrive, w: Array) -> Iterator[Array]:
+    """The runs as the filter takes them: many along a batch axis, or one by one."""
+    if getattr(factory(drive.task), "batched", False):
+        yield from np.array_split(w, -(-len(w) // BATCH))
+    else:
+        yield from w
+
+
+def _error(call: Call, claim: Call, drive: ShortDrive) -> Array:
+    if not np.array_equal(call.belief.ids, claim.belief.ids):
+        raise FilterFailure(
+            call.name,
+            "holds other landmarks, or in another order, when the noise differs by a thousandth "
+            f"of a sigma: {call.belief.ids.tolist()} instead of {claim.belief.ids.tolist()}",
+        )
+    return call.belief.error(drive.state(call.frame))
+
+
+def _gram(vectors: Array) -> Array:
+    """Sum of v v^T over the leading axis, if there is one."""
+    rows = vectors.reshape(-1, vectors.shape[-1])
+    return np.asarray(rows.T @ rows)
+
+
+def _claimed(belief: Belief) -> Array:
+    """The covariance that a belief claims; NaN where it does not say."""
+    if belief.joint_covariance is not None:
+        return belief.joint_covariance
+    blocks = [] if belief.pose_covariance is None else [belief.pose_covariance]
+    blocks += list(belief.landmark_covariances)
+    P = block_diag(*blocks)
+    P[block_diag(*map(np.ones_like, blocks)) == 0] = np.nan
+    return np.asarray(P)
+
+
+def _relative(true: Array, claimed: Array) -> Array:
+    """Difference over the two standard deviations, as claimed, or as true where none is claimed."""
+    variance = np.where(np.diag(claimed) > 0, np.diag(claimed), np.diag(true))
+    sigma = np.sqrt(np.where(variance > 0, variance, 1.0))
+    return np.asarray(np.nan_to_num((true - claimed) / np.outer(sigma, sigma), nan=0.0))
+
+
+def _limit(large: Array, small: Array, eps: tuple[float, float]) -> Array:
+    """What a + b eps^2 through two values is at eps = 0."""
+    a, b = eps[0] ** 2, eps[1] ** 2
+    return np.asarray((a * small - b * large) / (a - b))
+
+
+def _first(claims: tuple[Call, ...], moments: list[_Moments]) -> Finding | None:
+    """The first call whose deviation does not vanish with eps."""
+    large, small = moments
+    eps = (large.eps, small.eps)
+    whitened = _limit(large.whitened, small.whitened, eps)
+    birth: dict[int, int] = {}
+    seen = 0
+    for k, claim in enumerate(claims):
+        for landmark in claim.belief.ids.tolist():
+            birth.setdefault(landmark, claim.frame)
+        claimed = _claimed(claim.belief)
+        true = _limit(large.errors[k], small.errors[k], eps)
+        finding = _worst(claim, claimed, true, birth)
+        if finding is not None:
+            return finding
+        if claim.whitened is not None:
+            rows = slice(seen, seen + claim.whitened.shape[-1])
+            seen = rows.stop
+            finding = _innovation(claim, whitened[rows, :seen])
+            if finding is not None:
+                return finding
+    return None
+
+
+def _worst(claim: Call, claimed: Array, true: Array, birth: dict[int, int]) -> Finding | None:
+    deviation = _relative(true, claimed)
+    if not deviation.size or np.abs(deviation).max() < TOLERANCE:
+        return None
+    i, j = sorted(map(int, np.unravel_index(np.abs(deviation).argmax(), deviation.shape)))
+    return Finding(
+        call=claim.name,
+        block=_block(claim, i, j, birth),
+        claimed=float(claimed[i, j]),
+        true=float(true[i, j]),
+        deviation=float(deviation[i, j]),
+    )
+
+
+def _block(claim: Call, i: int, j: int, birth: dict[int, int]) -> str:
+    """The name of the block that element (i, j) lies in."""
+    pose = 0 if claim.belief.pose_covariance is None else 6
+
+    def age(element: int) -> int:
+        return claim.frame - birth[int(claim.belief.ids[(element - pose) // 3])]
+
+    if j < pose:
+        return "pose covariance"
+    if i < pose:
+        return f"pose-landmark cross-covariance (landmark of age {age(j)})"
+    if (i - pose) // 3 == (j - pose) // 3:
+        return f"landmark covariance (age {age(i)})"
+    return f"landmark-landmark cross-covariance (ages {age(i)} and {age(j)})"
+
+
+def _innovation(claim: Call, moment: Array) -> Finding | None:
+    """Rows of the whitened innovations' second moment, up to and with this update's own."""
+    rows = len(moment)
+    expected = np.eye(rows, moment.shape[1], k=moment.shape[1] - rows)
+    difference = np.abs(moment - expected)
+    if not difference.size or difference.max() < TOLERANCE:
+        return None
+    i, j = np.unravel_index(difference.argmax(), difference.shape)
+    own = j >= moment.shape[1] - rows
+    return Finding(
+        call=claim.name,
+        block="innovation covariance" if own else "innovation whiteness",
+        claimed=float(expected[i, j]),
+        true=float(moment[i, j]),
+        deviation=float(moment[i, j] - expected[i, j]),
+    )
+
+
+def _deviations(claims: tuple[Call, ...], moments: _Moments) -> Deviations:
+    """The worst of each figure over all calls."""
+    block, pose, joint, nis = [0.0], [], [], []
+    seen = 0
+    whitened = moments.whitened - np.eye(len(moments.whitened))
+    for claim, true in zip(claims, moments.errors, strict=True):
+        claimed = _claimed(claim.belief)
+        block.append(float(np.abs(_relative(true, claimed)).max(initial=0.0)))
+        if claim.belief.pose_covariance is not None:
+            pose.append(_excess(true[:6, :6], claimed[:6, :6]))
+        if claim.belief.joint_covariance is not None:
+            joint.append(_excess(true, claimed))
+        if claim.whitened is not None and claim.whitened.size:
+            rows = slice(seen, seen + claim.whitened.shape[-1])
+            seen = rows.stop
+            nis.append(float(np.trace(whitened[rows, rows])) / len(claim.whitened))
+            whitened[rows, rows] = 0.0
+    return Deviations(
+        eps=moments.eps,
+        block=max(block),
+        pose_nees=max(pose, key=abs, default=None),
+        joint_nees=max(joint, key=abs, default=None),
+        nis=max(nis, key=abs, default=None),
+        whiteness=float(np.abs(whitened).max()) if nis else None,
+    )
+
+
+def _excess(true: Array, claimed: Array) -> float:
+    """Mean NEES minus its degrees of freedom, on what the claim knows to be uncertain."""
+    return float(np.trace(np.linalg.pinv(claimed, hermitian=True) @ true)) - int(
+        np.linalg.matrix_rank(claimed, hermitian=True)
+    )

@@ -1,0 +1,186 @@
+"""A short drive with its noise laid open: what the exact audit runs a filter on.
+
+Every scalar of noise in a drive (of the start, of each twist, of each pixel coordinate) is one
+element of a standard normal vector w. A `ShortDrive` makes the data of any w, or of many at once
+along a batch axis. With w = 0 there is no noise, and a right filter follows the truth.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from simbench.dataset import Dataset, Truth
+from simbench.errors import InputError
+from simbench.sensors.camera import camera_matrices, projected
+from vislam.arrays import Array
+from vislam.lie import se3
+from vislam.types import Belief, State, StereoFrame, Task, Twist
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Readings:
+    """The data of one w, or of a batch of them.
+
+    Attributes:
+        prior: the start that the filter is told.
+        twists: one from each frame to the next.
+        frames: one more than twists.
+    """
+
+    prior: Belief
+    twists: tuple[Twist, ...]
+    frames: tuple[StereoFrame, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ShortDrive:
+    """The leading frames of a simulated dataset, with the noise that the filter is told.
+
+    Attributes:
+        dataset: gives the task, the times, the true motion and map, and who is seen when.
+        frames: how many of its frames take part.
+    """
+
+    dataset: Dataset
+    frames: int
+
+    @classmethod
+    def of(cls, dataset: Dataset, most_scalars: int) -> "ShortDrive":
+        """As many leading frames as have at most so many scalars of noise.
+
+        Raises:
+            InputError: the truth is unknown, or two frames have more.
+        """
+        if dataset.truth is None or dataset.sightings is None:
+            raise InputError(f"{dataset.name}: expected simulated data: an audit needs the truth.")
+        drive = cls(dataset=dataset, frames=len(dataset))
+        by_frame = [6 + 4 * int(np.count_nonzero(_whole(f.pixels))) for f in drive.schedule]
+        frames = int(np.searchsorted(np.cumsum(by_frame), most_scalars, side="right"))
+        if frames < 2:
+            raise InputError(
+                f"{dataset.name}: expected at most {most_scalars} scalars of noise in the first "
+                f"two frames, got {sum(by_frame[:2])}; take landmarks away."
+            )
+        return cls(dataset=dataset, frames=frames)
+
+    @property
+    def task(self) -> Task:
+        """What the filter is told: the truth of the geometry, and the noise as it is."""
+        return Task(
+            calibration=self._truth.calibration,
+            noise=self.dataset.noise,
+            prior=self.dataset.prior,
+            gate=self.dataset.gate,
+            trajectory=self.T_world_imu,
+        )
+
+    @cached_property
+    def schedule(self) -> tuple[StereoFrame, ...]:
+        """The frames as simulated; of their pixels only what is missing matters."""
+        return tuple(self.dataset.frame(i) for i in range(self.frames))
+
+    @cached_property
+    def intervals_s(self) -> Array:
+        """Time from each frame to the next, shape (K - 1,)."""
+        return np.diff(self.dataset.times_s[: self.frames])
+
+    @cached_property
+    def T_world_imu(self) -> Array:
+        """True poses, which the true twists lead to exactly, shape (K, 4, 4)."""
+        poses = [self._truth.T_world_imu[0]]
+        for tau, u in zip(self.intervals_s, self._true_twists, strict=True):
+            poses.append(poses[-1] @ se3.exp(tau * u))
+        return np.stack(poses)
+
+    @cached_property
+    def scalars(self) -> int:
+        """N, the length of w."""
+        sightings = sum(np.count_nonzero(_whole(frame.pixels)) for frame in self.schedule)
+        rank_process = self._process_root.shape[1] * (self.frames - 1)
+        return int(self._prior_root.shape[1] + rank_process + 4 * sightings)
+
+    def state(self, frame: int) -> State:
+        """The truth at a frame."""
+        return replace(self._truth.state(frame), T_world_imu=self.T_world_imu[frame])
+
+    def realise(self, w: Array) -> Readings:
+        """The data of a noise vector, shape (..., N)."""
+        batch, prior = w.shape[:-1], self.dataset.prior
+        place = 0
+
+        def take(root: Array) -> Array:
+            """The next scalars, as correlated noise: root root^T is its covariance."""
+            nonlocal place
+            part = w[..., place : place + root.shape[1]]
+            place += root.shape[1]
+            return part @ root.T
+
+        T_start = self.T_world_imu[0] @ se3.exp(-take(self._prior_root))
+        twists = tuple(self._measured(i, take(self._process_root)) for i in range(self.frames - 1))
+        frames = []
+        for frame, true in zip(self.schedule, self._true_pixels, strict=True):
+            pixels = np.broadcast_to(true, (*batch, *true.shape)).copy()
+            for k in np.flatnonzero(_whole(frame.pixels)):
+                pixels[..., k, :] += take(np.diag(self.dataset.noise.sigma_px))
+            frames.append(replace(frame, pixels=pixels))
+        return Readings(
+            prior=replace(prior, T_world_imu=T_start), twists=twists, frames=tuple(frames)
+        )
+
+    def _measured(self, i: int, n: Array) -> Twist:
+        """The twist that is read when the true motion of an interval meets noise n."""
+        u, tau = self._true_twists[i], float(self.intervals_s[i])
+        match self.dataset.noise.process_model:
+            case "additive":
+                u = se3.log(se3.exp(tau * u) @ se3.exp(-n)) / tau
+            case "twist":
+                u = u + n
+            case "twist-density":
+                u = u + n / np.sqrt(tau)
+        return Twist(time_s=float(self.dataset.times_s[i]), linear=u[..., :3], angular=u[..., 3:])
+
+    @property
+    def _truth(self) -> Truth:
+        truth = self.dataset.truth
+        assert truth is not None  # `of` has seen to it
+        return truth
+
+    @cached_property
+    def _true_twists(self) -> Array:
+        truth, last = self._truth, self.frames - 1
+        return np.hstack([truth.linear_velocity[:last], truth.angular_velocity[:last]])
+
+    @cached_property
+    def _true_pixels(self) -> list[Array]:
+        """What each frame shows without noise; what is missing in the schedule is missing here."""
+        geometry = self._truth.calibration
+        matrices = camera_matrices(geometry.rig, geometry.T_imu_cam)
+        pixels = []
+        for T, frame in zip(self.T_world_imu, self.schedule, strict=True):
+            seen, _ = projected(
+                matrices, se3.apply(se3.inverse(T), self._truth.landmarks[frame.ids])
+            )
+            pixels.append(np.where(frame.pixels == -1, -1.0, seen))
+        return pixels
+
+    @cached_property
+    def _prior_root(self) -> Array:
+        P = self.dataset.prior.pose_covariance
+        return _root(np.zeros((6, 6)) if P is None else P)
+
+    @cached_property
+    def _process_root(self) -> Array:
+        return _root(self.dataset.noise.process)
+
+
+def _whole(pixels: Array) -> Array:
+    """Which features have all four coordinates."""
+    return np.asarray((pixels != -1).all(axis=-1))
+
+
+def _root(P: Array) -> Array:
+    """B with B B^T = P and as many columns as P has rank, shape (n, r)."""
+    eigenvalues, vectors = np.linalg.eigh(P)
+    kept = eigenvalues > 1e-14 * eigenvalues[-1]
+    return np.asarray(vectors[:, kept] * np.sqrt(eigenvalues[kept]))
