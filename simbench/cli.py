@@ -146,6 +146,36 @@ def info(file: Path, as_json: bool, **told: Any) -> None:
     _show(describe_file(file, Told(**told)), as_json)
 
 
+@cli.command()
+@click.option("--filter", "names", multiple=True, required=True, help="May be repeated.")
+@click.option("--scene", type=click.Path(path_type=Path), help="Default: the built-in scenes.")
+@click.option("--most-scalars", type=click.IntRange(min=16), default=2000, help="Of --scene.")
+@_options(*_SCENE)
+def audit(
+    names: tuple[str, ...], scene: Path | None, most_scalars: int, as_json: bool, **told: Any
+) -> int:
+    """Audit a filter exactly: does it claim the covariance that its errors have?
+
+    Prints the first call and block that deviate. Of a --scene, as many leading frames take part as
+    have at most --most-scalars numbers of noise.
+    """
+    from simbench.checks.audit import audit as audit_filter
+    from simbench.checks.short_drive import ShortDrive
+    from simbench.filters import resolve
+
+    drives = None if scene is None else (ShortDrive.of(_open(scene, told), most_scalars),)
+    results = {name: audit_filter(resolve(name), drives) for name in names}
+    if as_json:
+        values = [{"filter": name, **result.as_json()} for name, result in results.items()]
+        _print_json(values if len(values) > 1 else values[0])
+    else:
+        for name, result in results.items():
+            click.echo(f"{name}: {'passed' if result.passed else 'failed'}")
+            for each in result.scenes:
+                click.echo(f"  {each.scene}: {each}")
+    return DONE if all(result.passed for result in results.values()) else FAILED
+
+
 LISTS = ("filters", "trajectories", "landmarks", "schema")
 
 
@@ -249,7 +279,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run a verb and return its exit status."""
     arguments = sys.argv[1:] if arguments is None else list(arguments)
     try:
-        cli.main(arguments, prog_name="simbench", standalone_mode=False)
+        status = cli.main(arguments, prog_name="simbench", standalone_mode=False)
     except (KeyboardInterrupt, click.Abort):
         return _failed(INTERRUPTED, "Interrupted; finished files are whole, unfinished ones gone.")
     except click.ClickException as error:
@@ -265,7 +295,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _failed(
             INTERNAL, f"Internal error, {type(error).__name__}: {error}. --debug shows where."
         )
-    return DONE
+    return status or DONE  # a judging verb returns its own
 
 
 def _failed(status: int, message: str) -> int:

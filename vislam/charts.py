@@ -51,7 +51,10 @@ def _left_retract(T_hat: Array, m_hat: Array, e: Array) -> tuple[Array, Array]:
 
 
 def _stack(xi: Array, f: Array) -> Array:
-    return np.concatenate([xi, f.reshape(*f.shape[:-2], 3 * f.shape[-2])], axis=-1)
+    f = f.reshape(*f.shape[:-2], 3 * f.shape[-2])
+    batch = np.broadcast_shapes(xi.shape[:-1], f.shape[:-1])
+    parts = [np.broadcast_to(part, (*batch, part.shape[-1])) for part in (xi, f)]
+    return np.concatenate(parts, axis=-1)
 
 
 def _landmark_part(e: Array) -> Array:

@@ -12,12 +12,14 @@ nonlinearity, and stays where it is a mistake. The first call after which someth
 the mistake is. The filter is a black box: nothing of it is differentiated by hand.
 """
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator
+from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.linalg import block_diag, hadamard
 
+from simbench.checks.scenes import SCENES, drive
 from simbench.checks.short_drive import Readings, ShortDrive
 from simbench.errors import FilterFailure
 from simbench.run import Watch
@@ -28,6 +30,8 @@ from vislam.types import Belief, Innovation
 EPS = (1e-3, 1e-4)
 #: What may remain when eps goes to zero: rounding, far from the origin, leaves up to 1e-7.
 TOLERANCE = 1e-6
+#: Deviations below this are rounding.
+ROUNDING = 1e-8
 #: Without noise a right filter stands on the truth to rounding, metres and radians.
 STANDSTILL = 1e-8
 #: Runs of one batch: as many as keep the state of a small scene in the processor's cache.
@@ -97,6 +101,14 @@ class SceneAudit:
     deviations: tuple[Deviations, ...]
     scalars: int
 
+    def __str__(self) -> str:
+        if self.first is not None:
+            return str(self.first)
+        text = f"no deviation in {self.scalars} scalars of noise"
+        if (noise := self.noise_at_ten_percent) is not None:
+            text += f"; nonlinearity reaches 10 % at {noise:.2g} times this scene's noise"
+        return text
+
     @property
     def passed(self) -> bool:
         """Whether every deviation vanishes with eps."""
@@ -104,10 +116,15 @@ class SceneAudit:
 
     @property
     def order(self) -> float | None:
-        """The power of eps with which the block deviation falls: 2 for a right filter."""
-        if len(self.deviations) < 2 or not self.deviations[1].block:
+        """The power of eps with which the block deviation falls; 2 for a right filter.
+
+        None where nothing but rounding is left at the smaller eps.
+        """
+        if not self.deviations:
             return None
-        a, b = self.deviations[:2]
+        a, b = self.deviations
+        if b.block < ROUNDING:
+            return None
         return float(np.log(a.block / b.block) / np.log(a.eps / b.eps))
 
     @property
@@ -121,7 +138,57 @@ class SceneAudit:
         return float(self.deviations[0].eps * np.sqrt(0.1 / self.deviations[0].block))
 
 
-def audit(factory: Factory, drive: ShortDrive, eps: tuple[float, float] = EPS) -> SceneAudit:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AuditResult:
+    """The audit of a filter on several scenes."""
+
+    scenes: tuple[SceneAudit, ...]
+
+    @property
+    def passed(self) -> bool:
+        """Whether the filter passed on each."""
+        return all(scene.passed for scene in self.scenes)
+
+    @property
+    def first(self) -> Finding | None:
+        """What was found on the first scene that it did not pass."""
+        return next((scene.first for scene in self.scenes if scene.first is not None), None)
+
+    def as_json(self) -> dict[str, Any]:
+        """JSON-safe; `deviations` are the worst of all scenes, by eps."""
+        names = ("block", "pose_nees", "joint_nees", "nis", "whiteness")
+        worst: dict[str, dict[str, float | None]] = {}
+        for one in (d for scene in self.scenes for d in scene.deviations):
+            at = worst.setdefault(f"{one.eps:g}", dict.fromkeys(names))
+            for name in names:
+                found = [v for v in (at[name], getattr(one, name)) if v is not None]
+                at[name] = max(found, key=abs, default=None)
+        return {
+            "passed": self.passed,
+            "first": None if self.first is None else asdict(self.first),
+            "deviations": worst,
+            "scenes": [
+                {
+                    "name": scene.scene,
+                    "passed": scene.passed,
+                    "first": None if scene.first is None else asdict(scene.first),
+                    "scalars": scene.scalars,
+                    "order": scene.order,
+                    "noise_at_ten_percent": scene.noise_at_ten_percent,
+                }
+                for scene in self.scenes
+            ],
+        }
+
+
+def audit(factory: Factory, drives: Iterable[ShortDrive] | None = None) -> AuditResult:
+    """Audit a filter on several scenes, by default on those of `simbench.checks.scenes`."""
+    if drives is None:
+        drives = map(drive, SCENES)
+    return AuditResult(scenes=tuple(audit_drive(factory, each) for each in drives))
+
+
+def audit_drive(factory: Factory, drive: ShortDrive, eps: tuple[float, float] = EPS) -> SceneAudit:
     """Audit a filter on a short drive.
 
     Args:
@@ -261,7 +328,7 @@ def _error(call: Call, claim: Call, drive: ShortDrive) -> Array:
 
 def _gram(vectors: Array) -> Array:
     """Sum of v v^T over the leading axis, if there is one."""
-    rows = vectors.reshape(-1, vectors.shape[-1])
+    rows = np.atleast_2d(vectors)
     return np.asarray(rows.T @ rows)
 
 

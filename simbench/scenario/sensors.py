@@ -177,8 +177,9 @@ class Told(Section):
 class Filter(Section):
     """How the filter is set."""
 
-    process_noise: Literal["twist", "additive"] = "twist"
-    """Noise of the twist samples, or the paper's constant W."""
+    process_noise: Literal["twist", "twist-density", "additive"] = "twist"
+    """Noise of a twist sample: the same for any interval, or a density (sigma is that of an
+    interval of 1 / rate_hz, and falls with the root of longer ones), or the paper's constant W."""
     gate: WordOr[Literal["none"], Annotated[Number, Field(gt=0, lt=1)]] = "none"
     """Probability of the chi-square gate, or none."""
 

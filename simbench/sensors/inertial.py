@@ -34,11 +34,11 @@ def true_twists(scenario: Scenario, trajectory: Trajectory, times_s: Array) -> A
 
 def told_noise(scenario: Scenario) -> Noise:
     """What the filter is told: the model that `measured_twists` draws from, scaled."""
+    model = scenario.filter.process_noise
     sigma = scenario.told.twist_sigma_scale * _sigma(scenario)
-    if scenario.filter.process_noise == "additive":
-        sigma = sigma / scenario.rate_hz
+    sigma = sigma / scenario.rate_hz ** {"twist": 0, "twist-density": 0.5, "additive": 1}[model]
     return Noise(
-        process_model=scenario.filter.process_noise,
+        process_model=model,
         process=np.diag(np.square(sigma)),
         sigma_px=scenario.told.pixel_sigma_scale * np.broadcast_to(scenario.camera.sigma_px, 4),
     )
@@ -48,8 +48,8 @@ def measured_twists(scenario: Scenario, seed: int, run: int, times_s: Array, tru
     """The samples as measured, shape (T, 6).
 
     `twist`: u = u_true + n, n ~ N(0, sigma^2). `additive`: exp(tau u^) = exp(tau u_true^) exp(-w^),
-    w ~ N(0, (sigma / rate)^2), so that T_true+ = T_true exp(tau u^) exp(w^). The bias is added to
-    the reading.
+    w ~ N(0, (sigma / rate)^2), so that T_true+ = T_true exp(tau u^) exp(w^). `twist-density`:
+    n ~ N(0, sigma^2 / (rate tau)). The bias is added to the reading.
     """
     imu = scenario.imu
     sections = (("velocity", imu.velocity), ("angular_velocity", imu.angular_velocity))
@@ -60,6 +60,8 @@ def measured_twists(scenario: Scenario, seed: int, run: int, times_s: Array, tru
     noise = _sigma(scenario) * np.concatenate(z, axis=1)
     tau = np.append(np.diff(times_s), 1 / scenario.rate_hz)
     measured = true + noise
+    if scenario.filter.process_noise == "twist-density":
+        measured = true + noise / np.sqrt(scenario.rate_hz * tau[:, None])
     if scenario.filter.process_noise == "additive":
         w = noise / scenario.rate_hz
         measured = se3.log(se3.exp(tau[:, None] * true) @ se3.exp(-w)) / tau[:, None]
