@@ -1,8 +1,8 @@
 """The small scenes that an audit runs on, chosen so that no mistake vanishes by accident.
 
-All have jittered times, a camera away from the IMU, a heading and a place far from identity,
-noise that differs between axes, births in mid-run, half-missing features, gaps in the
-sightings, and a gate. They differ in the noise model, in how much is seen, and in how fast it turns.
+All have jittered times, a camera away from the IMU, a heading and a place far from identity, other
+noise on each axis, births in mid-run, gaps in the sightings, and most a gate. They differ in the
+noise model, in how much is seen, and in what is halved.
 """
 
 from functools import cache

@@ -5,6 +5,7 @@ The state is x = (pose, landmarks). Every change of its covariance P is one of t
 """
 
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 
@@ -116,6 +117,9 @@ class Drop:
         stays[MAP].reshape(-1, 3)[self.slots] = False
         rows = np.flatnonzero(stays)
         return P[..., rows[:, None], rows]
+
+
+Record: TypeAlias = Linear | Correct | Augment | Drop
 
 
 def diagonal_blocks(P: Array) -> Array:

@@ -16,7 +16,7 @@ from vislam.arrays import Array, BoolArray, IntArray
 from vislam.charts import RIGHT, Chart
 from vislam.filters import model
 from vislam.filters.observation import Observation
-from vislam.filters.records import MAP, POSE, Augment, Correct, Drop, Linear, diagonal_blocks
+from vislam.filters.records import MAP, POSE, Augment, Drop, Linear, Record, diagonal_blocks
 from vislam.filters.roster import Retired, slots_of
 from vislam.types import Belief, Calibration, Innovation, Noise, StereoFrame, Task, Twist
 
@@ -86,7 +86,8 @@ class EkfSlam:
     """EKF-SLAM on SE(3) with landmarks in R^3.
 
     The estimate is `x`; `P` is the covariance of its error (pose, landmarks in the order of `ids`),
-    in the chart of `parts`. Every change of `P` is one record of `vislam.filters.records`.
+    in the chart of `parts`. Every change of `P` is one record of `vislam.filters.records`; who sets
+    `records` to a list finds them there.
     """
 
     batched = True
@@ -101,6 +102,7 @@ class EkfSlam:
         self.calibration, self.noise, self.gate = task.calibration, task.noise, task.gate
         self.parts = parts
         self._whitening = parts.whitening(task.noise)
+        self.records: list[Record] | None = None
         self._retired = Retired()
         self._waiting: dict[int, tuple[Array, Array]] = {}
 
@@ -154,8 +156,10 @@ class EkfSlam:
         """Pose and every landmark there was, by ascending id; a retired one as when it left."""
         return self._retired.joined_to(self.belief())
 
-    def _apply(self, record: Linear | Correct | Augment | Drop) -> None:
+    def _apply(self, record: Record) -> None:
         self.P = record.forward(self.P)
+        if self.records is not None:
+            self.records.append(record)
 
     def _correct(self, ids: IntArray, slots: IntArray, pixels: Array) -> Innovation:
         """The paper's III.C.5 over the frame's known landmarks; ids (k,), pixels (..., k, 4)."""
