@@ -176,6 +176,52 @@ def audit(
     return DONE if all(result.passed for result in results.values()) else FAILED
 
 
+@cli.command()
+@click.argument("scenario", type=click.Path(path_type=Path))
+@click.option("--filter", "names", multiple=True, required=True, help="May be repeated.")
+@click.option("--runs", type=click.IntRange(min=1), default=20, help="Default: 20.")
+@click.option(
+    "--false-alarm",
+    type=click.FloatRange(0, 1, min_open=True, max_open=True),
+    default=0.01,
+    help="Of the whole verdict, default 0.01.",
+)
+@click.option("--jobs", type=click.IntRange(min=1), help="Processes, default: all cores.")
+@_options(_SCENE[0], _SCENE[2])
+def check(
+    scenario: Path,
+    names: tuple[str, ...],
+    runs: int,
+    false_alarm: float,
+    jobs: int | None,
+    seed: int | None,
+    overrides: tuple[str, ...],
+    as_json: bool,
+) -> int:
+    """Judge a filter in a scene by all instruments: exact audit, then many runs at its noise.
+
+    Every check is two-sided and corrected for their number. A failed one says what its failure
+    usually means, and the conclusion what they mean together.
+    """
+    from simbench.checks.verdict import check as judge
+    from simbench.scenario import load
+
+    scene = load(scenario, overrides)
+    verdicts = {
+        name: judge(scene, name, runs=runs, false_alarm=false_alarm, seed=seed, jobs=jobs or -1)
+        for name in names
+    }
+    if as_json:
+        values = [{"filter": name, **each.as_json()} for name, each in verdicts.items()]
+        _print_json(values if len(values) > 1 else values[0])
+    else:
+        for name, each in verdicts.items():
+            click.echo(f"{name}: {'passed' if each.passed else 'failed'}")
+            for line in each.lines():
+                click.echo(f"  {line}")
+    return DONE if all(each.passed for each in verdicts.values()) else FAILED
+
+
 LISTS = ("filters", "trajectories", "landmarks", "schema")
 
 

@@ -1,0 +1,504 @@
+"""One verdict from all instruments: is the code right, and does the method hold in this scene?
+
+Every statistic of the Monte Carlo has a known null distribution (`simbench.checks.montecarlo`), is
+judged from both sides, and its p-value is corrected by Holm's method, so that a right filter fails
+anywhere in the table with the stated probability at the most. The audit has no chance in it.
+
+Source: Holm, A simple sequentially rejective multiple test procedure, Scand. J. Statist. 6, 1979.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Literal, TypeAlias
+
+import numpy as np
+from scipy.special import chdtrc, chdtri, gammainc, gammaincc, ndtr, ndtri, pdtrik
+
+from simbench.checks.audit import AuditResult, SceneAudit, audit, audit_drive
+from simbench.checks.montecarlo import AGES, ChiSquare, Innovations, RunSummary, monte_carlo
+from simbench.checks.short_drive import ShortDrive
+from simbench.errors import InputError
+from simbench.filters import resolve
+from simbench.metrics import chi_square_band
+from simbench.scenario import Scenario
+from simbench.sensors import simulate
+from vislam.arrays import Array
+from vislam.filters import Factory
+
+RUNS = 20
+FALSE_ALARM = 0.01
+#: Of noise, in the leading frames of a scene that are audited.
+MOST_SCALARS = 512
+
+Kind: TypeAlias = Literal["pose", "map", "newborn", "landmark", "nis", "dt", "whiteness", "gate"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Check:
+    """One line of a verdict.
+
+    Attributes:
+        name: what was checked.
+        passed: whether it holds.
+        statistic: None where it is infinite, or where there is none.
+        low, high: where a right filter's statistic lies, in all checks at once but for the
+            false-alarm rate; as Holm's correction has it.
+        p: after the correction; None where no chance is involved.
+        reason: what a failure of this kind usually means; empty where it passed.
+    """
+
+    name: str
+    passed: bool
+    statistic: float | None = None
+    low: float | None = None
+    high: float | None = None
+    p: float | None = None
+    reason: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Verdict:
+    """What is held of a filter in a scene.
+
+    Attributes:
+        checks: the lines.
+        skipped: checks that could not be made, and why.
+        figures: of accuracy, not judged: by name the median over the runs; `diverged` and `failed`
+            are shares of them.
+        runs: how many.
+        false_alarm: the probability that a right filter fails.
+        conclusion: what the checks mean together.
+    """
+
+    checks: tuple[Check, ...]
+    skipped: Mapping[str, str]
+    figures: Mapping[str, float | None]
+    runs: int
+    false_alarm: float
+    conclusion: str = ""
+
+    @property
+    def passed(self) -> bool:
+        """Whether every check did."""
+        return all(check.passed for check in self.checks)
+
+    def as_json(self) -> dict[str, Any]:
+        """JSON-safe."""
+        return {
+            "passed": self.passed,
+            "conclusion": self.conclusion,
+            "checks": [asdict(check) for check in self.checks],
+            "skipped": dict(self.skipped),
+            "figures": dict(self.figures),
+            "runs": self.runs,
+            "false_alarm": self.false_alarm,
+        }
+
+    def lines(self) -> Iterator[str]:
+        """The verdict as a table, what failures mean, and the conclusion."""
+        width = max(len(check.name) for check in self.checks)
+        yield f"{'':4}  {'check':{width}}  {'statistic':>9}  {'low':>9}  {'high':>9}  {'p':>7}"
+        for check in self.checks:
+            numbers = (check.statistic, check.low, check.high)
+            cells = "  ".join(f"{_cell(number):>9}" for number in numbers)
+            mark = "ok" if check.passed else "FAIL"
+            p = "-" if check.p is None else f"{check.p:.2g}"
+            yield f"{mark:4}  {check.name:{width}}  {cells}  {p:>7}"
+        for name, why in self.skipped.items():
+            yield f"{'skip':4}  {name}: {why}"
+        reasons: dict[str, list[str]] = {}
+        for check in self.checks:
+            if not check.passed:
+                reasons.setdefault(check.reason, []).append(check.name)
+        for reason, names in reasons.items():
+            yield f"{'; '.join(names)}: {reason}"
+        yield "  ".join(f"{name} {_cell(value)}" for name, value in self.figures.items())
+        yield (
+            f"{self.runs} runs; a right filter fails in {100 * self.false_alarm:g} % of such "
+            "verdicts at the most."
+        )
+        yield self.conclusion
+
+
+def _cell(number: float | None) -> str:
+    return "-" if number is None else f"{number:.4g}"
+
+
+def check(
+    scenario: Scenario,
+    factory: Factory | str,
+    *,
+    runs: int = RUNS,
+    false_alarm: float = FALSE_ALARM,
+    seed: int | None = None,
+    jobs: int = -1,
+) -> Verdict:
+    """Judge a filter in a scene by all instruments.
+
+    Args:
+        scenario: the scene.
+        factory: makes the filter, or its name.
+        runs: independent runs of the scene.
+        false_alarm: of the whole verdict.
+        seed: instead of the scene's own.
+        jobs: processes; see `monte_carlo`.
+    """
+    made = resolve(factory) if isinstance(factory, str) else factory
+    exact = audit(made)
+    here = _audit_here(scenario, made, seed)
+    summaries = monte_carlo(scenario, factory, range(runs), seed=seed, jobs=jobs)
+    chance = judge(
+        summaries,
+        false_alarm,
+        gate=scenario.filter.gate_probability,
+        outliers=scenario.camera.outliers.share > 0,
+    )
+    checks, skipped = [_audit_check("exact audit", exact)], dict(chance.skipped)
+    if isinstance(here, SceneAudit):
+        checks.append(_audit_check("exact audit of this scene", AuditResult(scenes=(here,))))
+    else:
+        skipped["exact audit of this scene"] = here
+    audits = AuditResult(scenes=(*exact.scenes, *([here] if isinstance(here, SceneAudit) else [])))
+    return Verdict(
+        checks=(*checks, *chance.checks),
+        skipped=skipped,
+        figures=chance.figures,
+        runs=runs,
+        false_alarm=false_alarm,
+        conclusion=_conclusion(audits, chance, untold(scenario)),
+    )
+
+
+def _audit_here(scenario: Scenario, factory: Factory, seed: int | None) -> SceneAudit | str:
+    """The audit of the scene's leading frames, or why there is none."""
+    try:
+        drive = ShortDrive.of(simulate(scenario, seed), MOST_SCALARS)
+    except InputError as error:
+        return str(error)
+    return audit_drive(factory, drive)
+
+
+def _audit_check(name: str, result: AuditResult) -> Check:
+    deviations = [scene.deviations[-1].block for scene in result.scenes if scene.deviations]
+    return Check(
+        name=name,
+        passed=result.passed,
+        statistic=_finite(max(deviations, default=np.inf)),
+        reason="" if result.first is None else str(result.first),
+    )
+
+
+def untold(scenario: Scenario) -> tuple[str, ...]:
+    """The keys of a scene by which a filter is told something else than the truth."""
+    found = [
+        f"told.{name}"
+        for name, field in type(scenario.told).model_fields.items()
+        if getattr(scenario.told, name) != field.default
+    ]
+    for name in ("velocity", "angular_velocity"):
+        section = getattr(scenario.imu, name)
+        found += [
+            f"imu.{name}.{key}"
+            for key in ("bias_sigma", "bias_walk")
+            if np.any(getattr(section, key))
+        ]
+    if scenario.imu.twist != "mean":
+        found.append("imu.twist")
+    if scenario.camera.outliers.share:
+        found.append("camera.outliers")
+    return tuple(found)
+
+
+def _conclusion(audits: AuditResult, chance: Verdict, lies: Sequence[str]) -> str:
+    """What the instruments say together."""
+    if audits.first is not None:
+        return f"A mistake in the code, first at {audits.first}."
+    if chance.passed:
+        return "No mistake was found, and the covariance holds in this scene."
+    if chance.figures["failed"]:
+        return "The filter raises at this scene's noise; the audit's small noise does not reach it."
+    if lies:
+        return (
+            "Correct code in a scene that does not tell it the truth "
+            f"({', '.join(lies)}): no filter is consistent there."
+        )
+    conclusion = (
+        "Correct code, inconsistent method in this scene: what is linear in the noise is right, as "
+        "the audit passed, but the covariance does not hold at the scene's noise."
+    )
+    noise = audits.scenes[-1].noise_at_ten_percent
+    if noise is not None and noise < 1:
+        conclusion += (
+            " The scene lies outside the linear regime of this filter: in its leading frames "
+            f"{noise:.2g} of its noise makes an element of the covariance wrong by 10 %."
+        )
+    return conclusion
+
+
+def judge(
+    summaries: Sequence[RunSummary],
+    false_alarm: float = FALSE_ALARM,
+    *,
+    gate: float | None = None,
+    outliers: bool = False,
+) -> Verdict:
+    """The verdict by chance alone.
+
+    Args:
+        summaries: of independent runs.
+        false_alarm: the probability that a right filter fails.
+        gate: the probability that the filter's gate was told.
+        outliers: whether some sightings are wrong, so that nobody knows how many to reject.
+    """
+    if not 0 < false_alarm < 1:
+        raise InputError(f"Expected a false-alarm rate between 0 and 1, got {false_alarm}.")
+    if not summaries:
+        raise InputError("Expected at least one run to judge, got none.")
+    failures = [s for s in summaries if s.failure is not None]
+    whole = [s for s in summaries if s.failure is None]
+    tests, skipped = [], {}
+    for name, found in _tests(whole, gate, outliers):
+        if isinstance(found, str):
+            skipped[name] = found
+        else:
+            tests.append(found)
+    completed = Check(
+        name="runs that raised",
+        passed=not failures,
+        statistic=float(len(failures)),
+        low=0.0,
+        high=0.0,
+        reason=f"run {failures[0].run}: {failures[0].failure}" if failures else "",
+    )
+    return Verdict(
+        checks=(completed, *_corrected(tests, false_alarm)),
+        skipped=skipped,
+        figures=_medians(whole) | {"failed": len(failures) / len(summaries)},
+        runs=len(summaries),
+        false_alarm=false_alarm,
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Test:
+    """A statistic, its own p-value, and its band at a level."""
+
+    name: str
+    kind: Kind
+    statistic: float
+    p: float
+    band: Callable[[float], tuple[float, float]]
+
+
+def _corrected(tests: Sequence[_Test], false_alarm: float) -> list[Check]:
+    """Holm's correction: the smallest p against rate / m, the next against rate / (m - 1), ..."""
+    m = len(tests)
+    order = sorted(range(m), key=lambda k: tests[k].p)
+    factor = np.arange(m, 0, -1)
+    ps = np.minimum(1, np.maximum.accumulate(factor * [tests[k].p for k in order]))
+    corrected = dict(zip(order, ps.tolist(), strict=True))
+    failed = int(np.count_nonzero(ps <= false_alarm))
+    level = false_alarm / max(m - failed, 1)  # the band at which exactly these fail
+    kinds = {tests[k].kind for k in order[:failed]}
+    checks = []
+    for k, test in enumerate(tests):
+        low, high = test.band(level)
+        passed = corrected[k] > false_alarm
+        checks.append(
+            Check(
+                name=test.name,
+                passed=passed,
+                statistic=_finite(test.statistic),
+                low=float(low),
+                high=float(high),
+                p=corrected[k],
+                reason="" if passed else _reason(test.kind, test.statistic > low, kinds),
+            )
+        )
+    return checks
+
+
+def _tests(
+    runs: Sequence[RunSummary], gate: float | None, outliers: bool
+) -> Iterator[tuple[str, _Test | str]]:
+    """Every test by name, or why it is not made."""
+    if not runs:
+        return
+    no_pose = "the filter does not say how sure it is of the pose, or knows it exactly"
+    for i, frame in enumerate(runs[0].instants.tolist()):
+        name = f"pose NEES, frame {frame}"
+        yield name, _mean_square(name, "pose", [r.pose for r in runs], i) or no_pose
+    for i, frame in enumerate(runs[0].instants.tolist()):
+        name = f"map NEES given the pose, frame {frame}"
+        parts = [r.map_given_pose for r in runs]
+        yield name, _mean_square(name, "map", parts, i) or "no joint covariance of a map then"
+    for i, age in enumerate(AGES):
+        name = f"landmark NEES, {age}"
+        kind: Kind = "newborn" if age == "newborn" else "landmark"
+        parts = [r.landmark for r in runs]
+        yield name, _mean_square(name, kind, parts, i) or "no landmark of this age"
+    innovations = [r.innovations for r in runs if r.innovations is not None]
+    if not sum(int(i.nis.dof.sum()) for i in innovations):
+        yield "innovations", "the filter reports none, or accepts none"
+        return
+    yield "NIS", _nis(innovations, gate)
+    yield "NIS against dt", _against_dt(innovations)
+    yield "innovation whiteness", _whiteness(innovations)
+    yield "gate rejections", _rejections(innovations, gate, outliers)
+
+
+def _mean_square(name: str, kind: Kind, parts: Sequence[ChiSquare | None], i: int) -> _Test | None:
+    """Mean over runs of what is chi-square in each, per degree of freedom."""
+    value = sum(float(part.value[i]) for part in parts if part is not None)
+    dof = sum(int(part.dof[i]) for part in parts if part is not None)
+    return _chi_square(name, kind, value, dof) if dof else None
+
+
+def _chi_square(name: str, kind: Kind, value: float, dof: int, least: float = 1.0) -> _Test:
+    """A sum that is chi-square, but for a factor between `least` and 1 that nobody knows."""
+
+    def band(level: float) -> tuple[float, float]:
+        low, high = chi_square_band(dof, 1 - level)
+        return least * float(low) / dof, float(high) / dof
+
+    p = 2 * min(gammainc(dof / 2, value / least / 2), gammaincc(dof / 2, value / 2))
+    return _Test(name=name, kind=kind, statistic=value / dof, p=min(1.0, float(p)), band=band)
+
+
+def _nis(innovations: Sequence[Innovations], gate: float | None) -> _Test:
+    """NIS over its degrees of freedom.
+
+    A gate cuts the tail off, and so takes a share of the mean: all of it where the sightings of a
+    frame are independent, less where the pose's error is common to them.
+    """
+    value = sum(float(i.nis.value.sum()) for i in innovations)
+    dof = sum(int(i.nis.dof.sum()) for i in innovations)
+    least = 1.0
+    if gate is not None:
+        threshold = chdtri(4, 1 - gate)
+        least = float((1 - chdtrc(6, threshold)) / gate)
+    return _chi_square("NIS", "nis", value, dof, least)
+
+
+def _against_dt(innovations: Sequence[Innovations]) -> _Test | str:
+    """The correlation of a frame's NIS with the interval before it, weighted by its degrees."""
+    dt, nis, dof = (
+        np.concatenate(column)
+        for column in zip(*((i.dt_s, i.nis.value, i.nis.dof) for i in innovations), strict=True)
+    )
+    dt, nis, dof = dt[dof > 0], nis[dof > 0], dof[dof > 0]
+    if np.ptp(dt) < 1e-6 * dt.mean():
+        return "the interval between frames is constant; set time_jitter"
+    a = dt - np.average(dt, weights=dof)
+    b = nis - dof * nis.sum() / dof.sum()
+    r = float(a @ b / np.sqrt((dof @ a**2) * np.sum(b**2 / dof)))
+    root_n = float(np.sqrt(len(dt)))
+
+    def band(level: float) -> tuple[float, float]:
+        edge = float(-ndtri(level / 2)) / root_n
+        return -edge, edge
+
+    p = float(2 * ndtr(-abs(r) * root_n))
+    return _Test(name="NIS against dt", kind="dt", statistic=r, p=p, band=band)
+
+
+def _whiteness(innovations: Sequence[Innovations]) -> _Test | str:
+    """Ljung-Box over the lags, of the autocorrelation over all runs; it has but one tail."""
+    pairs = np.sum([i.pairs for i in innovations], axis=0)
+    seen = pairs > 0
+    dof = int(np.count_nonzero(seen))
+    if not dof:
+        return "no landmark is sighted in two frames near each other"
+    correlation = np.sum([i.correlation for i in innovations], axis=0)
+    Q = float(np.sum(correlation[seen] ** 2 / pairs[seen]))
+    return _Test(
+        name="innovation whiteness",
+        kind="whiteness",
+        statistic=Q,
+        p=float(chdtrc(dof, Q)),
+        band=lambda level: (0.0, float(chdtri(dof, level))),
+    )
+
+
+def _rejections(
+    innovations: Sequence[Innovations], gate: float | None, outliers: bool
+) -> _Test | str:
+    """The share of refused sightings: Poisson, but that those of a frame may fall together."""
+    if gate is None:
+        return "no gate is on"
+    if outliers:
+        return "some sightings are wrong, so nobody knows how many should be refused"
+    tested = np.concatenate([i.tested for i in innovations])
+    rejected = np.concatenate([i.rejected for i in innovations])
+    n, k = int(tested.sum()), int(rejected.sum())
+    together = np.sum((rejected - k / n * tested) ** 2) / k if k else 1.0
+    together = max(1.0, float(together))
+    mean, count = (1 - gate) * n / together, k / together
+    p = 2 * min(float(gammaincc(count + 1, mean)), float(gammainc(count, mean)) if k else 1.0)
+
+    def band(level: float) -> tuple[float, float]:
+        low, high = pdtrik(np.array([level / 2, 1 - level / 2]), mean)
+        return float(np.nan_to_num(low)) * together / n, (float(high) + 1) * together / n
+
+    return _Test(name="gate rejections", kind="gate", statistic=k / n, p=min(1.0, p), band=band)
+
+
+def _reason(kind: Kind, high: bool, failed: set[Kind]) -> str:
+    """What a failure usually means, in the light of the others."""
+    states: set[Kind] = {"pose", "map", "newborn", "landmark"}
+    match kind:
+        case "dt":
+            return "process noise that does not grow with the interval as the scene's does."
+        case "whiteness":
+            return (
+                "innovations follow from earlier ones: a reading used at another time, a wrong dt, "
+                "a measurement fused twice, or process noise scaled wrongly."
+            )
+        case "gate":
+            word = "more" if high else "less"
+            return f"the gate refuses {word} than it was told: wrong degrees of freedom or units."
+        case "nis" if not states & failed:
+            return (
+                f"innovations are too {'large' if high else 'small'} for their covariance, the "
+                "errors are not: the pixel noise is told or used wrongly (sigma for its square, "
+                "added twice)."
+            )
+        case "nis":
+            return (
+                f"innovations are too {'large' if high else 'small'} for their covariance, and the "
+                "errors do not fit theirs: a wrong motion model, Jacobian or noise, or readings "
+                "used at another time."
+            )
+        case "newborn":
+            return (
+                "a landmark is born with a wrong covariance: without the pose's uncertainty, or "
+                "its first sighting fused again."
+                if high
+                else "a landmark is born less sure than it is: a prior instead of its sighting."
+            )
+    if not high:
+        return "less sure than it should be: noise added twice, or a covariance not stored."
+    if "nis" in failed:
+        return "too sure, and so are its predictions: noise left out, or a wrong Jacobian."
+    return (
+        "too sure, though its predictions fit: covariance lost at birth or in the cross terms, or "
+        "a method that gains information where nothing can be observed."
+    )
+
+
+def _medians(runs: Sequence[RunSummary]) -> dict[str, float | None]:
+    names = runs[0].figures if runs else ()
+    found = {name: _known([run.figures[name] for run in runs]) for name in names}
+    figures = {name: float(np.median(v)) if v.size else None for name, v in found.items()}
+    diverged = found.get("diverged")
+    if diverged is not None and diverged.size:
+        figures["diverged"] = float(diverged.mean())
+    return figures
+
+
+def _known(values: Sequence[float | None]) -> Array:
+    return np.array([value for value in values if value is not None])
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
