@@ -104,18 +104,28 @@ def run(
             while the run goes on.
 
     Raises:
-        FilterFailure: the filter raised, or its pose is not finite or not of shape (4, 4).
+        FilterFailure: the filter raised, is none, or returned what it must not: a pose that is not
+            finite or not of shape (4, 4), say.
     """
     watch = Watch()
     filter_ = watch("start", factory, task_of(dataset))
+    lacking = [
+        c for c in ("predict", "update", "belief") if not callable(getattr(filter_, c, None))
+    ]
+    if lacking:
+        kind, methods = type(filter_).__name__, ", ".join(lacking)
+        raise FilterFailure("start", f"gave what is no filter: {kind} has no method {methods}")
     predict: Callable[[Any, float], None] = filter_.predict
     raw = getattr(filter_, "motion", "twist") == "imu"
     steps = []
     for i in range(len(dataset)):
-        innovation = watch(f"update {i}", filter_.update, dataset.frame(i))
-        step = Step(
-            frame=i, belief=_checked(i, watch(f"update {i}", filter_.belief)), innovation=innovation
-        )
+        call = f"update {i}"
+        innovation = watch(call, filter_.update, dataset.frame(i))
+        if not isinstance(innovation, Innovation | None):
+            kind = type(innovation).__name__
+            raise FilterFailure(call, f"returned {kind}: expected an Innovation or None")
+        belief = _checked(call, watch(call, filter_.belief))
+        step = Step(frame=i, belief=belief, innovation=innovation)
         steps.append(step)
         on_step(step)
         if i + 1 < len(dataset):
@@ -123,7 +133,7 @@ def run(
                 watch(f"predict {i}", predict, motion, dt)
     final = steps[-1].belief
     if isinstance(filter_, Finishing):
-        final = watch("finish", filter_.finish)
+        final = _checked("finish", watch("finish", filter_.finish))
     return RunRecord(
         dataset=dataset, filter=name, steps=tuple(steps), final=final, wall_s=watch.total_s
     )
@@ -150,11 +160,13 @@ class Watch:
             self.total_s += time.perf_counter() - start
 
 
-def _checked(i: int, belief: Belief) -> Belief:
+def _checked(call: str, belief: Belief) -> Belief:
+    if not isinstance(belief, Belief):
+        raise FilterFailure(call, f"left {type(belief).__name__}: expected a vislam.types.Belief")
     shape = np.shape(belief.T_world_imu)
     if shape != (4, 4) or not np.isfinite(belief.T_world_imu).all():
         raise FilterFailure(
-            f"update {i}",
+            call,
             "left a pose that is not usable: expected finite numbers of shape (4, 4), got shape "
             f"{shape}: {np.array2string(np.asarray(belief.T_world_imu), precision=3)}",
         )

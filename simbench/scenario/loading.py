@@ -91,8 +91,11 @@ def _override(document: Document, override: str) -> None:
         document.faults.extend(faults)
         return
     section: Any = document.data
-    for key in location[:-1]:
-        section = section.setdefault(key, {})
+    for depth, key in enumerate(location[:-1], 1):
+        if key not in section:
+            section[key] = {}
+            document.places[location[:depth]] = place
+        section = section[key]
         if not isinstance(section, dict):
             message = f"expected a section above it, but {key} is {section!r:.40}"
             document.faults.append(Fault(place, key_of(location), message))
