@@ -4,6 +4,7 @@ Libraries are imported inside the verbs, so that ``simbench --help`` answers at 
 """
 
 import sys
+import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -177,6 +178,67 @@ def audit(
 
 
 @cli.command()
+@click.option("--filter", "name", required=True, help="A name, or package.module:factory.")
+@click.option("--check", default="audit", help="What it must pass, default: audit.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, help="Of the search.")
+@click.option("--max-seconds", type=_POSITIVE, default=60.0, help="Then the smallest so far.")
+@_options(_OUT)
+def hunt(name: str, check: str, seed: int, max_seconds: float, out: Path, as_json: bool) -> int:
+    """Search scenes for one where a filter fails a check, and shrink it to the smallest.
+
+    Writes OUT/hunt-CHECK-FILTER.yaml and .mcap; audit --scene shows it again. Of slam+BUG, slam
+    passes there. An interrupted hunt keeps the smallest scene so far.
+    """
+    from simbench import hunt as hunting
+    from simbench.filters import resolve
+
+    factory, judge, clean = resolve(name), hunting.judge(check), hunting.clean_of(name)
+    with hunting.nothing_left_behind(), _status(f"hunting for a scene where {name} fails"):
+        result = hunting.hunt(factory, judge, clean=clean, seed=seed, max_seconds=max_seconds)
+    found = result.found
+    values: dict[str, Any] = {
+        "found": found is not None,
+        "scenario": None,
+        "mcap": None,
+        "frames": found and found.frames,
+        "landmarks": found and found.landmarks,
+        "check": check,
+        "reason": found and found.reason,
+        "test": None,
+        "tried": result.tried,
+        "ended": result.ended,
+    }
+    if found is not None:
+        scenario, recording = hunting.write(found, name, check, out)
+        values |= {"scenario": str(scenario), "mcap": str(recording)}
+        values["test"] = hunting.line_for_test(scenario, name, check)
+    _show(values, as_json)
+    if result.ended == "interrupted":
+        return INTERRUPTED
+    return DONE if found is None else FAILED
+
+
+@cli.command()
+@_options()
+def bugs(as_json: bool) -> None:
+    """Say what mistakes there are to judge a bench by, and what must catch each.
+
+    slam+NAME names a filter with the mistake in it, wherever a filter is named.
+    """
+    from simbench.bugs import BUGS
+
+    if as_json:
+        _print_json([{"name": name, **bug.as_json()} for name, bug in BUGS.items()])
+        return
+    for name, bug in BUGS.items():
+        click.echo(f"{name}  {bug.what}")
+        click.echo(f"  source     {bug.source}")
+        click.echo(f"  base       {bug.base}")
+        click.echo(f"  caught by  {', '.join(bug.checks) or 'none: a control'}")
+        click.echo(f"  audit      {bug.audit or f'blind: {bug.blind}'}")
+
+
+@cli.command()
 @click.argument("scenario", type=click.Path(path_type=Path))
 @click.option("--filter", "names", multiple=True, required=True, help="May be repeated.")
 @click.option("--runs", type=click.IntRange(min=1), default=20, help="Default: 20.")
@@ -222,7 +284,7 @@ def check(
     return DONE if all(each.passed for each in verdicts.values()) else FAILED
 
 
-LISTS = ("filters", "trajectories", "landmarks", "schema")
+LISTS = ("filters", "trajectories", "landmarks", "bugs", "schema")
 
 
 @cli.command("list")
@@ -249,6 +311,10 @@ def _table(what: str) -> Mapping[str, str]:
         from simbench.filters import known
 
         return known()
+    if what == "bugs":
+        from simbench.bugs import BUGS
+
+        return {name: bug.what for name, bug in BUGS.items()}
     from simbench.scenario import LANDMARKS, TRAJECTORIES
 
     return TRAJECTORIES if what == "trajectories" else LANDMARKS
@@ -276,6 +342,18 @@ def _progress(name: str, frames: int) -> Iterator[Callable[["Step"], None]]:
     with Progress(console=Console(stderr=True), transient=True) as progress:
         task = progress.add_task(name, total=frames)
         yield lambda step: progress.update(task, completed=step.frame + 1)
+
+
+@contextmanager
+def _status(text: str) -> Iterator[None]:
+    """A line on a terminal's standard error while something runs, nothing when piped."""
+    if not sys.stderr.isatty():
+        yield
+        return
+    from rich.console import Console
+
+    with Console(stderr=True).status(text):
+        yield
 
 
 def _show(values: Mapping[str, Any], as_json: bool) -> None:
@@ -333,7 +411,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return WRONG_INPUT
     except Exception as error:
         if "--debug" in arguments:
-            raise
+            traceback.print_exc()
         if isinstance(error, FilterFailure):
             return _failed(FAILED, f"The filter failed: {error}")
         if isinstance(error, SimbenchError):

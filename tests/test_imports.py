@@ -33,15 +33,20 @@ LAYERS = [
     "simbench.sensors",
     "simbench.conventions",
     "simbench.npz",
+    "simbench.bugs",
     "simbench.filters",
     "simbench.run",
     "simbench.metrics",
     "simbench.checks",
+    "simbench.bugs.matrix",
     "simbench.mcap",
     "simbench.figures",
     "simbench.source",
     "simbench.info",
     "simbench.outputs",
+    "simbench.strategies",
+    "simbench.hunt",
+    "simbench.pytest_plugin",
     "simbench.cli",
 ]
 
@@ -156,7 +161,7 @@ needs_cli = pytest.mark.skipif(
 )
 ANSWERS = [
     ["--help"],
-    *(["list", what] for what in ("filters", "trajectories", "landmarks", "schema")),
+    *(["list", what] for what in ("filters", "trajectories", "landmarks", "bugs", "schema")),
 ]
 
 
