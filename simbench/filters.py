@@ -1,4 +1,4 @@
-"""What a filter's name means: one of ours, one that a distribution registers, or a factory."""
+"""What a filter's name means: one of ours, maybe with a bug, a registered one, or a factory."""
 
 import difflib
 import importlib
@@ -8,6 +8,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
+from simbench.bugs import mutant
 from simbench.errors import InputError
 
 if TYPE_CHECKING:
@@ -55,7 +56,8 @@ def resolve(name: str) -> "Factory":
     """The factory behind a name.
 
     Args:
-        name: one of `known`, or `package.module:factory`; the working directory is searched too.
+        name: one of `known`, `slam+BUG` (`simbench.bugs.mutant`), or `package.module:factory`; the
+            working directory is searched too.
 
     Raises:
         InputError: there is no such filter, or it cannot be imported.
@@ -67,6 +69,8 @@ def resolve(name: str) -> "Factory":
         return _load(name, registered[name])
     if ":" in name:
         return _load(name, name)
+    if "+" in name:
+        return mutant(name)
     close = difflib.get_close_matches(name, known(), n=1)
     hint = f"Did you mean {close[0]}?" if close else f"There are {', '.join(known())}."
     raise InputError(f"--filter {name}: expected a filter's name or package.module:factory. {hint}")

@@ -16,7 +16,16 @@ from vislam.arrays import Array, BoolArray, IntArray
 from vislam.charts import RIGHT, Chart
 from vislam.filters import model
 from vislam.filters.observation import Observation
-from vislam.filters.records import MAP, POSE, Augment, Drop, Linear, Record, diagonal_blocks
+from vislam.filters.records import (
+    MAP,
+    POSE,
+    Augment,
+    Correct,
+    Drop,
+    Linear,
+    Record,
+    diagonal_blocks,
+)
 from vislam.filters.roster import Retired, slots_of
 from vislam.types import Belief, Calibration, Innovation, Noise, StereoFrame, Task, Twist
 
@@ -43,6 +52,11 @@ def at_estimate(x: Estimate) -> tuple[Array, Array]:
     return x.T, x.landmarks
 
 
+def as_recorded(record: Record, P: Array) -> Array:
+    """The covariance after a record, as the record says."""
+    return record.forward(P)
+
+
 @dataclass(frozen=True, slots=True)
 class Parts:
     """The formulas of the recursion. A variant of the filter replaces some, and nothing else.
@@ -58,9 +72,11 @@ class Parts:
         observation_jacobians: of the pixels by pose and landmark.
         whitening: of a residual.
         gate: which sightings to accept.
+        correct: the update that an observation makes.
         birth: new landmarks, their Jacobian by the pose's error, their own covariance.
         transport: what an update that moved the estimate from (pose, landmarks) to (pose,
             landmarks) does to the covariance besides; None for nothing.
+        change: the covariance after a record.
     """
 
     chart: Chart = RIGHT
@@ -73,10 +89,12 @@ class Parts:
     )
     whitening: Callable[[Noise], Array] = model.whitening
     gate: Callable[[Array, float], BoolArray] = model.gate
+    correct: Callable[[Observation], Correct] = Observation.correction
     birth: Callable[[Calibration, Noise, Array, Array, Array], tuple[Array, Array, Array]] = (
         model.inverse_observation
     )
     transport: Callable[[Array, Array, Array, Array], Linear] | None = None
+    change: Callable[[Record, Array], Array] = as_recorded
 
 
 PAPER = Parts()
@@ -157,7 +175,7 @@ class EkfSlam:
         return self._retired.joined_to(self.belief())
 
     def _apply(self, record: Record) -> None:
-        self.P = record.forward(self.P)
+        self.P = self.parts.change(record, self.P)
         if self.records is not None:
             self.records.append(record)
 
@@ -179,7 +197,7 @@ class EkfSlam:
         passed = np.ones(white.shape[:-1], bool)
         if self.gate is not None:
             passed = parts.gate(observation.distances() + white[..., 3] ** 2, self.gate)
-        correction = observation.only(passed).correction()
+        correction = parts.correct(observation.only(passed))
         self._apply(correction)
         T, landmarks = x.T, x.landmarks
         x.T, x.landmarks = parts.chart.retract(T, landmarks, correction.delta)
