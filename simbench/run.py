@@ -6,12 +6,13 @@ from dataclasses import dataclass
 from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from simbench.dataset import Dataset
 from simbench.errors import FilterFailure
 from simbench.rng import stream
 from vislam.arrays import Array
-from vislam.filters.protocol import Factory, Finishing
+from vislam.filters.protocol import Factory, Filter, Finishing
 from vislam.types import Belief, ImuSample, Innovation, Task, Twist
 
 P = ParamSpec("P")
@@ -94,7 +95,10 @@ def run(
     name: str = "filter",
     on_step: Callable[[Step], None] = lambda _: None,
 ) -> RunRecord:
-    """Run a filter over a dataset.
+    """Run a filter over a dataset, with one BLAS thread.
+
+    The matrices of a frame are small: a second thread gains nothing there, and where another
+    process uses the cores it makes an update many times slower.
 
     Args:
         dataset: the data.
@@ -107,36 +111,40 @@ def run(
         FilterFailure: the filter raised, is none, or returned what it must not: a pose that is not
             finite or not of shape (4, 4), say.
     """
-    watch = Watch()
+    with threadpool_limits(limits=1, user_api="blas"):
+        watch = Watch()
+        filter_ = _started(watch, factory, dataset)
+        predict: Callable[[Any, float], None] = filter_.predict
+        raw = getattr(filter_, "motion", "twist") == "imu"
+        steps = []
+        for i in range(len(dataset)):
+            call = f"update {i}"
+            innovation = watch(call, filter_.update, dataset.frame(i))
+            if not isinstance(innovation, Innovation | None):
+                kind = type(innovation).__name__
+                raise FilterFailure(call, f"returned {kind}: expected an Innovation or None")
+            belief = _checked(call, watch(call, filter_.belief))
+            step = Step(frame=i, belief=belief, innovation=innovation)
+            steps.append(step)
+            on_step(step)
+            if i + 1 < len(dataset):
+                for motion, dt in _motions(dataset, i, raw):
+                    watch(f"predict {i}", predict, motion, dt)
+        final = steps[-1].belief
+        if isinstance(filter_, Finishing):
+            final = _checked("finish", watch("finish", filter_.finish))
+        return RunRecord(
+            dataset=dataset, filter=name, steps=tuple(steps), final=final, wall_s=watch.total_s
+        )
+
+
+def _started(watch: "Watch", factory: Factory, dataset: Dataset) -> Filter:
     filter_ = watch("start", factory, task_of(dataset))
-    lacking = [
-        c for c in ("predict", "update", "belief") if not callable(getattr(filter_, c, None))
-    ]
-    if lacking:
+    calls = ("predict", "update", "belief")
+    if lacking := [call for call in calls if not callable(getattr(filter_, call, None))]:
         kind, methods = type(filter_).__name__, ", ".join(lacking)
         raise FilterFailure("start", f"gave what is no filter: {kind} has no method {methods}")
-    predict: Callable[[Any, float], None] = filter_.predict
-    raw = getattr(filter_, "motion", "twist") == "imu"
-    steps = []
-    for i in range(len(dataset)):
-        call = f"update {i}"
-        innovation = watch(call, filter_.update, dataset.frame(i))
-        if not isinstance(innovation, Innovation | None):
-            kind = type(innovation).__name__
-            raise FilterFailure(call, f"returned {kind}: expected an Innovation or None")
-        belief = _checked(call, watch(call, filter_.belief))
-        step = Step(frame=i, belief=belief, innovation=innovation)
-        steps.append(step)
-        on_step(step)
-        if i + 1 < len(dataset):
-            for motion, dt in _motions(dataset, i, raw):
-                watch(f"predict {i}", predict, motion, dt)
-    final = steps[-1].belief
-    if isinstance(filter_, Finishing):
-        final = _checked("finish", watch("finish", filter_.finish))
-    return RunRecord(
-        dataset=dataset, filter=name, steps=tuple(steps), final=final, wall_s=watch.total_s
-    )
+    return filter_
 
 
 class Watch:

@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 from scipy.linalg import block_diag, hadamard
+from threadpoolctl import threadpool_limits
 
 from simbench.checks.scenes import SCENES, drive
 from simbench.checks.short_drive import Readings, ShortDrive
@@ -203,11 +204,12 @@ def audit_drive(factory: Factory, drive: ShortDrive, eps: tuple[float, float] = 
         )
 
     try:
-        claims = tuple(_calls(factory, drive, drive.realise(np.zeros(drive.scalars))))
-        for claim in claims:
-            if (finding := _without_noise(claim, drive)) is not None:
-                return result(finding)
-        moments = [_Moments.of(factory, drive, claims, scale) for scale in eps]
+        with threadpool_limits(limits=1, user_api="blas"):
+            claims = tuple(_calls(factory, drive, drive.realise(np.zeros(drive.scalars))))
+            for claim in claims:
+                if (finding := _without_noise(claim, drive)) is not None:
+                    return result(finding)
+            moments = [_Moments.of(factory, drive, claims, scale) for scale in eps]
     except FilterFailure as failure:
         return result(Finding(call=failure.call, block="exception", reason=failure.reason))
     return result(_first(claims, moments), *(_deviations(claims, each) for each in moments))
