@@ -284,7 +284,7 @@ def check(
     return DONE if all(each.passed for each in verdicts.values()) else FAILED
 
 
-LISTS = ("filters", "trajectories", "landmarks", "bugs", "schema")
+LISTS = ("filters", "checks", "trajectories", "landmarks", "bugs", "schema")
 
 
 @cli.command("list")
@@ -311,6 +311,10 @@ def _table(what: str) -> Mapping[str, str]:
         from simbench.filters import known
 
         return known()
+    if what == "checks":
+        from simbench.checks.conformance import CHECKS
+
+        return CHECKS
     if what == "bugs":
         from simbench.bugs import BUGS
 

@@ -161,7 +161,10 @@ needs_cli = pytest.mark.skipif(
 )
 ANSWERS = [
     ["--help"],
-    *(["list", what] for what in ("filters", "trajectories", "landmarks", "bugs", "schema")),
+    *(
+        ["list", what]
+        for what in ("filters", "checks", "trajectories", "landmarks", "bugs", "schema")
+    ),
 ]
 
 

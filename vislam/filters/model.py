@@ -140,15 +140,16 @@ def inverse_observation(
         pixels: valid features, shape (..., b, 4).
 
     Returns:
-        Positions (..., b, 3); G = R [I, -s^], their Jacobian by the pose's error, (..., b, 3, 6);
+        Positions (..., b, 3); G = R [I, -s^], s = T_linear^-1 m, their Jacobian by the pose's
+        error, (..., b, 3, 6);
         and the covariance J_z R J_z^T that the pixels' noise gives them, (..., b, 3, 3).
     """
-    s = triangulated(calibration, pixels)
-    G = T_linear[..., None, :3, :3] @ se3.odot(s)
+    landmarks = se3.apply(T, triangulated(calibration, pixels))
+    G = T_linear[..., None, :3, :3] @ se3.odot(to_imu(T_linear, landmarks))
     R_world_cam = T[..., :3, :3] @ calibration.T_imu_cam[:3, :3]
     J_z = R_world_cam[..., None, :, :] @ camera.d_triangulate_d_pixels(calibration.rig, pixels)
     J_z = J_z * noise.sigma_px
-    return se3.apply(T, s), G, J_z @ transposed(J_z)
+    return landmarks, G, J_z @ transposed(J_z)
 
 
 CONSTANT_PRIOR_SIGMA_M = 1.0

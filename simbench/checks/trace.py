@@ -1,0 +1,176 @@
+"""A filter run over a few readings, and what it held after each call."""
+
+from collections.abc import Callable
+from copy import deepcopy
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from simbench.checks.result import NotApplicable
+from simbench.checks.scenes import drive as scene
+from simbench.checks.short_drive import ShortDrive
+from simbench.errors import FilterFailure
+from simbench.rng import stream
+from simbench.run import Watch
+from vislam.arrays import Array
+from vislam.filters import Factory
+from vislam.filters.records import Record
+from vislam.types import Belief, Innovation, StereoFrame, Task, Twist
+
+#: The scene of a check that is given none: births, gaps, halved sightings, four pixel sigmas.
+SCENE = "births"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Feed:
+    """All that goes into a filter.
+
+    Attributes:
+        task: what it is told.
+        steps: what comes in, in order: frames, and twists with their interval, s.
+    """
+
+    task: Task
+    steps: tuple[StereoFrame | tuple[Twist, float], ...]
+
+    @classmethod
+    def of(cls, drive: ShortDrive | None, noise: float = 1.0, draw: int = 0) -> "Feed":
+        """The readings of a drive, by default of `SCENE`.
+
+        Args:
+            drive: the scene.
+            noise: of what is realised, as a multiple of what is told.
+            draw: number of the draw.
+        """
+        drive = scene(SCENE) if drive is None else drive
+        w = stream(0, draw, "checks").standard_normal(drive.scalars)
+        readings = drive.realise(noise * w)
+        steps: list[StereoFrame | tuple[Twist, float]] = [readings.frames[0]]
+        for twist, tau, frame in zip(
+            readings.twists, drive.intervals_s.tolist(), readings.frames[1:], strict=True
+        ):
+            steps += [(twist, tau), frame]
+        return cls(task=replace(drive.task, prior=readings.prior), steps=tuple(steps))
+
+    def each_frame(self, change: Callable[[int, StereoFrame], StereoFrame]) -> "Feed":
+        """With changed frames, each given with its place among the steps."""
+        steps = (
+            change(k, step) if isinstance(step, StereoFrame) else step
+            for k, step in enumerate(self.steps)
+        )
+        return replace(self, steps=tuple(steps))
+
+    def streamed(self) -> "Feed":
+        """From a source that does not know which sighting of a landmark is the last.
+
+        Where sightings are hidden or left out, that mark would come to mean something else.
+        """
+        return self.each_frame(lambda _, frame: replace(frame, last=np.zeros_like(frame.last)))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Call:
+    """What a filter held after a call.
+
+    Attributes:
+        name: of the call, such as "predict 2", numbered by the frame it starts from or takes in.
+        belief: after the call, with the joint covariance: a copy.
+        handed: the same as the filter handed it out.
+        innovation: of an update that has one.
+        records: how the covariance was changed, where the filter shows it.
+    """
+
+    name: str
+    belief: Belief
+    handed: Belief
+    innovation: Innovation | None
+    records: tuple[Record, ...]
+
+
+def trace(factory: Factory, feed: Feed) -> tuple[Call, ...]:
+    """Run a filter.
+
+    Returns:
+        The start first, then a call for each step.
+
+    Raises:
+        NotApplicable: the filter asks for raw IMU samples.
+        FilterFailure: it raised, or what it holds is no belief.
+    """
+    watch, frame = Watch(), -1
+    task = replace(feed.task, rng=stream(0, 0, "filter"))  # a generator that nobody has drawn from
+    filter_ = watch("start", factory, task)
+    if getattr(filter_, "motion", "twist") != "twist":
+        raise NotApplicable("asks for raw IMU samples, which a short drive does not have")
+    records: list[Record] | None = None
+    if hasattr(filter_, "records"):
+        filter_.records = records = []
+    start = _checked("start", watch("start", filter_.belief, joint=True))
+    calls = [Call(name="start", belief=deepcopy(start), handed=start, innovation=None, records=())]
+    for step in feed.steps:
+        innovation = None
+        if isinstance(step, StereoFrame):
+            frame += 1
+            name = f"update {frame}"
+            innovation = watch(name, filter_.update, step)
+        else:
+            name = f"predict {frame}"
+            watch(name, filter_.predict, *step)
+        belief = _checked(name, watch(name, filter_.belief, joint=True))
+        done = tuple(records or ())
+        if records is not None:
+            records.clear()
+        calls.append(
+            Call(
+                name=name,
+                belief=deepcopy(belief),
+                handed=belief,
+                innovation=innovation,
+                records=done,
+            )
+        )
+    return tuple(calls)
+
+
+def white_box(factory: Factory, feed: Feed) -> list[tuple[Call, Call]]:
+    """Run a filter that shows its records: each call, after the one before it.
+
+    Raises:
+        NotApplicable: it shows none, or starts with a map.
+    """
+    calls = trace(factory, feed)
+    if not any(call.records for call in calls):
+        raise NotApplicable("the filter does not show its records")
+    if len(feed.task.prior.ids):
+        raise NotApplicable("written for a start without a map")
+    return list(pairwise(calls))
+
+
+def _checked(name: str, belief: Belief) -> Belief:
+    m, T = len(belief.ids), belief.T_world_imu
+    of_each = belief.landmark_covariances if len(belief.landmark_covariances) else None
+    pose = 0 if belief.pose_covariance is None else 6
+    shapes = {
+        "T_world_imu": (T, (4, 4)),
+        "landmarks": (belief.landmarks, (m, 3)),
+        "landmark_covariances": (of_each, (m, 3, 3)),
+        "pose_covariance": (belief.pose_covariance, (6, 6)),
+        "joint_covariance": (belief.joint_covariance, (pose + 3 * m, pose + 3 * m)),
+    }
+    for field, (array, shape) in shapes.items():
+        if array is not None and np.shape(array) != shape:
+            raise FilterFailure(
+                name, f"left `{field}` of shape {np.shape(array)}, expected {shape}"
+            )
+    if not (np.isfinite(T).all() and np.isfinite(belief.landmarks).all()):
+        raise FilterFailure(name, "left an estimate that is not finite")
+    return belief
+
+
+def covariances(belief: Belief) -> list[tuple[str, Array]]:
+    """Every covariance that a belief states, by what it is of; there may be none."""
+    found = [("joint", belief.joint_covariance), ("pose", belief.pose_covariance)]
+    landmarks = zip(belief.ids.tolist(), belief.landmark_covariances, strict=False)
+    found += [(f"landmark {i}", P) for i, P in landmarks]
+    return [(name, P) for name, P in found if P is not None]
