@@ -47,6 +47,16 @@ def solve_lower(L: Array, X: Array) -> Array:
     return np.asarray(solution)
 
 
+def solve_lower_transposed(L: Array, X: Array) -> Array:
+    """L^-T X for a lower triangular L, shapes (..., k, k) and (..., k, n)."""
+    if L.ndim > 2:
+        return np.asarray(np.linalg.solve(transposed(L), X))
+    if not L.size:
+        return X
+    solution, _ = dtrtrs(L, X, lower=1, trans=1)
+    return np.asarray(solution)
+
+
 def subtract_gram(P: Array, Y_T: Array) -> Array:
     """P - Y Y^T for Y_T = Y^T of shape (..., k, n).
 

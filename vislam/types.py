@@ -240,6 +240,7 @@ class Task:
         gate: probability of the chi-square gate, or None for no gate.
         trajectory: the true poses at the frames, for a filter that takes the trajectory as given,
             shape (T, 4, 4); None where nobody knows them.
+        memory_bytes: what a backward pass may hold in memory.
         rng: for a filter that needs chance.
         options: further settings by name.
     """
@@ -249,5 +250,6 @@ class Task:
     prior: Belief
     gate: float | None = None
     trajectory: Array | None = None
+    memory_bytes: int = 2**30
     rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
     options: Mapping[str, Any] = field(default_factory=dict)

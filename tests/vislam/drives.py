@@ -1,11 +1,11 @@
 """Small drives for tests of the filters: truth, noisy readings, any schedule of sightings."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from vislam.camera import StereoRig, project
-from vislam.filters.protocol import Filter
+from vislam.filters.protocol import Factory, Filter
 from vislam.lie import se3, so3
 from vislam.types import Belief, Calibration, Innovation, Noise, StereoFrame, Task, Twist
 
@@ -105,3 +105,25 @@ def drive(
     return Drive(
         task=task, frames=stereo, twists=twists, T_world_imu=np.stack(poses), landmarks=points
     )
+
+
+def feed_together(factory: Factory, runs: list[Drive]) -> Filter:
+    """Run a filter over drives of one schedule at once, along a batch axis."""
+    first = runs[0]
+    prior = replace(
+        first.task.prior, T_world_imu=np.stack([d.task.prior.T_world_imu for d in runs])
+    )
+    together = factory(replace(first.task, prior=prior))
+    for i, frame in enumerate(first.frames):
+        if i:
+            twists = [d.twists[i - 1][0] for d in runs]
+            together.predict(
+                Twist(
+                    time_s=0.0,
+                    linear=np.stack([t.linear for t in twists]),
+                    angular=np.stack([t.angular for t in twists]),
+                ),
+                first.twists[i - 1][1],
+            )
+        together.update(replace(frame, pixels=np.stack([d.frames[i].pixels for d in runs])))
+    return together

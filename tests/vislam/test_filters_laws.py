@@ -9,13 +9,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from tests.vislam.drives import drive
+from tests.vislam.drives import drive, feed_together
 from vislam.filters import DeadReckoning, EkfSlam, Mapping, Parts
 from vislam.filters.model import constant_prior
 from vislam.filters.observation import Observation
 from vislam.gaussian import NotPositiveDefinite, covariance_fault
 from vislam.lie import se3
-from vislam.types import Noise, Twist
+from vislam.types import Noise
 
 FILTERS = [DeadReckoning, Mapping, Mapping.on_truth, EkfSlam]
 schedules = arrays(bool, (6, 5))
@@ -43,23 +43,7 @@ def test_a_batch_of_runs_equals_the_runs_one_by_one(factory):
     for d, filter_ in zip(runs, apart, strict=True):
         d.feed(filter_)
 
-    first = runs[0]
-    prior = replace(
-        first.task.prior, T_world_imu=np.stack([d.task.prior.T_world_imu for d in runs])
-    )
-    together = factory(replace(first.task, prior=prior))
-    for i, frame in enumerate(first.frames):
-        if i:
-            twists = [d.twists[i - 1][0] for d in runs]
-            together.predict(
-                Twist(
-                    time_s=0.0,
-                    linear=np.stack([t.linear for t in twists]),
-                    angular=np.stack([t.angular for t in twists]),
-                ),
-                first.twists[i - 1][1],
-            )
-        together.update(replace(frame, pixels=np.stack([d.frames[i].pixels for d in runs])))
+    together = feed_together(factory, runs)
     belief = together.belief(joint=True)
     for k, filter_ in enumerate(apart):
         alone = filter_.belief(joint=True)

@@ -1,7 +1,8 @@
 """The four ways in which the covariance of an EKF's state changes, each as a record.
 
 The state is x = (pose, landmarks). Every change of its covariance P is one of these, applied by
-`forward`; what judges a filter from inside reads the same records that moved it.
+`forward`. What judges a filter from inside reads the same records that moved it, and so does the
+backward pass: `backward` carries a `Later` over a record against time.
 """
 
 from dataclasses import dataclass
@@ -10,10 +11,31 @@ from typing import TypeAlias
 import numpy as np
 
 from vislam.arrays import Array, IntArray
-from vislam.gaussian import subtract_gram, symmetrised, transposed
+from vislam.gaussian import solve_lower_transposed, subtract_gram, symmetrised, transposed
 
 POSE = slice(0, 6)
 MAP = slice(6, None)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Later:
+    """What all updates after a moment say of the state then (modified Bryson-Frazier).
+
+    Whatever has cross-covariance C with the state, shape (c, n), is moved by those updates by
+    C mean, and loses C information C^T of its covariance.
+
+    Attributes:
+        mean: lambda, shape (..., n).
+        information: Lambda, shape (..., n, n).
+    """
+
+    mean: Array
+    information: Array
+
+    @classmethod
+    def nothing(cls, P: Array) -> "Later":
+        """No update is to come for a state of covariance P, shape (..., n, n)."""
+        return cls(mean=np.zeros(P.shape[:-1]), information=np.zeros(P.shape))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -45,6 +67,16 @@ class Linear:
         P[..., POSE, POSE] = symmetrised(pose if self.Q is None else pose + self.Q)
         return P
 
+    def backward(self, later: Later) -> Later:
+        """A^T mean and A^T information A for A = [F, 0; M, I]."""
+        columns = self.F if self.M is None else np.concatenate([self.F, self.M], axis=-2)
+        part = slice(0, columns.shape[-2])  # the rows that A gathers into the pose's
+        mean, information = later.mean.copy(), later.information.copy()
+        mean[..., POSE] = _times(transposed(columns), later.mean[..., part])
+        information[..., POSE, :] = transposed(columns) @ information[..., part, :]
+        information[..., POSE] = information[..., part] @ columns
+        return Later(mean=mean, information=information)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Correct:
@@ -73,7 +105,36 @@ class Correct:
     @property
     def delta(self) -> Array:
         """K r, shape (..., n)."""
-        return (transposed(self.Y_T) @ self.whitened[..., None])[..., 0]
+        return _times(transposed(self.Y_T), self.whitened)
+
+    def backward(self, later: Later) -> Later:
+        """(I - K H)^T mean + H^T S^-1 r, and (I - K H)^T information (I - K H) + H^T S^-1 H.
+
+        With Y = P H^T L^-T and W = Y^T information, the second is information + Z + Z^T for
+        Z = H^T (L^-T (W Y + I) L^-1 H / 2 - L^-T W).
+        """
+        said = self.whitened - _times(self.Y_T, later.mean)
+        W = self.Y_T @ later.information
+        inner = W @ transposed(self.Y_T) + np.eye(self.L.shape[-1])
+        inner = solve_lower_transposed(self.L, inner)
+        inner = symmetrised(solve_lower_transposed(self.L, transposed(inner)))
+        half = 0.5 * transposed(self._H_T(inner)) - solve_lower_transposed(self.L, W)
+        Z = self._H_T(half)
+        by_mean = self._H_T(solve_lower_transposed(self.L, said[..., None]))
+        return Later(
+            mean=later.mean + by_mean[..., 0],
+            information=later.information + Z + transposed(Z),
+        )
+
+    def _H_T(self, C: Array) -> Array:
+        """H^T C from the blocks of H, shape (..., 3k, c) to (..., n, c)."""
+        batch, k, c = C.shape[:-2], len(self.slots), C.shape[-1]
+        n = self.Y_T.shape[-1]
+        out = np.zeros((*batch, n, c))
+        out[..., POSE, :] = transposed(self.H_pose) @ C
+        landmarks = out[..., MAP, :].reshape(*batch, (n - 6) // 3, 3, c)  # a view
+        landmarks[..., self.slots, :, :] = transposed(self.H_map) @ C.reshape(*batch, k, 3, c)
+        return out
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -100,23 +161,72 @@ class Augment:
         diagonal_blocks(grown[..., n:, n:])[...] += symmetrised(self.R)
         return grown
 
+    def backward(self, later: Later) -> Later:
+        """B^T mean and B^T information B for B = [I; G, 0]."""
+        n = later.mean.shape[-1] - self.G.shape[-2]
+        mean, information = later.mean[..., :n].copy(), later.information[..., :n].copy()
+        mean[..., POSE] += _times(transposed(self.G), later.mean[..., n:])
+        information[..., POSE] += later.information[..., n:] @ self.G
+        pose_rows = transposed(self.G) @ information[..., n:, :]
+        information = information[..., :n, :]
+        information[..., POSE, :] += pose_rows
+        return Later(mean=mean, information=information)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Drop:
     """Landmarks that leave the state: what stays keeps exactly its covariance.
 
     Attributes:
+        ids: shape (d,).
         slots: their places among the state's landmarks, shape (d,).
+        stays: rows of the state that stay, shape (n - 3d,).
+        landmarks: their estimates as they leave, shape (..., d, 3).
+        covariances: of each, shape (..., d, 3, 3).
+        cross: with what stays, shape (..., 3d, n - 3d).
     """
 
+    ids: IntArray
     slots: IntArray
+    stays: IntArray
+    landmarks: Array
+    covariances: Array
+    cross: Array
+
+    @classmethod
+    def of(cls, P: Array, ids: IntArray, slots: IntArray, landmarks: Array) -> "Drop":
+        """Let landmarks go, at `slots` of a state of covariance P, shape (..., n, n)."""
+        stays = np.ones(P.shape[-1], bool)
+        stays[MAP].reshape(-1, 3)[slots] = False
+        leaves = (6 + 3 * slots[:, None] + np.arange(3)).reshape(-1)
+        stay = np.flatnonzero(stays)
+        return cls(
+            ids=ids,
+            slots=slots,
+            stays=stay,
+            landmarks=landmarks,
+            covariances=diagonal_blocks(P[..., MAP, MAP])[..., slots, :, :],
+            cross=P[..., leaves[:, None], stay],
+        )
 
     def forward(self, P: Array) -> Array:
         """The covariance of what stays."""
-        stays = np.ones(P.shape[-1], bool)
-        stays[MAP].reshape(-1, 3)[self.slots] = False
-        rows = np.flatnonzero(stays)
-        return P[..., rows[:, None], rows]
+        return P[..., self.stays[:, None], self.stays]
+
+    def backward(self, later: Later) -> Later:
+        """Nothing is said of what has left but through what stays."""
+        n = len(self.stays) + 3 * len(self.ids)
+        mean = np.zeros((*later.mean.shape[:-1], n))
+        information = np.zeros((*mean.shape, n))
+        mean[..., self.stays] = later.mean
+        information[..., self.stays[:, None], self.stays] = later.information
+        return Later(mean=mean, information=information)
+
+    def smoothed(self, later: Later) -> tuple[Array, Array]:
+        """Landmarks and covariances as the full filter would have them, after all that followed."""
+        moved = _times(self.cross, later.mean)
+        lost = diagonal_blocks(self.cross @ later.information @ transposed(self.cross))
+        return self.landmarks + moved.reshape(self.landmarks.shape), self.covariances - lost
 
 
 Record: TypeAlias = Linear | Correct | Augment | Drop
@@ -127,3 +237,8 @@ def diagonal_blocks(P: Array) -> Array:
     m = P.shape[-1] // 3
     blocks: Array = np.einsum("...iaib->...iab", P.reshape(*P.shape[:-2], m, 3, m, 3))
     return blocks
+
+
+def _times(A: Array, x: Array) -> Array:
+    """A x for vectors x with any batch shape."""
+    return np.asarray((A @ x[..., None])[..., 0])

@@ -22,11 +22,13 @@ from vislam.filters.records import (
     Augment,
     Correct,
     Drop,
+    Later,
     Linear,
     Record,
     diagonal_blocks,
 )
 from vislam.filters.roster import Retired, slots_of
+from vislam.filters.tape import Tape
 from vislam.types import Belief, Calibration, Innovation, Noise, StereoFrame, Task, Twist
 
 
@@ -120,8 +122,7 @@ class EkfSlam:
         self.calibration, self.noise, self.gate = task.calibration, task.noise, task.gate
         self.parts = parts
         self._whitening = parts.whitening(task.noise)
-        self.records: list[Record] | None = None
-        self._retired = Retired()
+        self.records: Tape | list[Record] = Tape(task.memory_bytes)
         self._waiting: dict[int, tuple[Array, Array]] = {}
 
         prior = task.prior
@@ -171,13 +172,21 @@ class EkfSlam:
         )
 
     def finish(self) -> Belief:
-        """Pose and every landmark there was, by ascending id; a retired one as when it left."""
-        return self._retired.joined_to(self.belief())
+        """Pose and every landmark there was, by ascending id, as the full filter has them now.
+
+        What later updates say of a landmark that has left comes from one pass back over the
+        records.
+        """
+        retired, later = Retired(), Later.nothing(self.P)
+        for record in reversed(self.records):
+            if isinstance(record, Drop):
+                retired.add(record.ids, *record.smoothed(later))
+            later = record.backward(later)
+        return retired.joined_to(self.belief())
 
     def _apply(self, record: Record) -> None:
         self.P = self.parts.change(record, self.P)
-        if self.records is not None:
-            self.records.append(record)
+        self.records.append(record)
 
     def _correct(self, ids: IntArray, slots: IntArray, pixels: Array) -> Innovation:
         """The paper's III.C.5 over the frame's known landmarks; ids (k,), pixels (..., k, 4)."""
@@ -239,9 +248,8 @@ class EkfSlam:
         """Take landmarks that will not be seen again out of the state."""
         slots = slots_of(self.ids, ids)
         slots = slots[slots >= 0]
-        x, blocks = self.x, diagonal_blocks(self.P[..., MAP, MAP])
-        self._retired.add(self.ids[slots], x.landmarks[..., slots, :], blocks[..., slots, :, :])
-        self._apply(Drop(slots=slots))
+        x = self.x
+        self._apply(Drop.of(self.P, self.ids[slots], slots, x.landmarks[..., slots, :]))
         self.ids = np.delete(self.ids, slots)
         x.landmarks = np.delete(x.landmarks, slots, axis=-2)
         x.landmarks_first = np.delete(x.landmarks_first, slots, axis=-2)

@@ -1,0 +1,53 @@
+"""The records of a run in the order of time, to be read back from the end.
+
+They take about 0.4 MB a frame at 70 sightings. Up to half a budget is held in memory; what is older
+goes to a temporary file, which is read back in pieces of the same size.
+"""
+
+import pickle
+import weakref
+from collections.abc import Iterator
+from dataclasses import fields
+from tempfile import TemporaryFile
+from typing import IO
+
+import numpy as np
+
+from vislam.filters.records import Record
+
+
+class Tape:
+    """Grows at one end, is read from there."""
+
+    def __init__(self, budget_bytes: int) -> None:
+        """Use at most about so much memory."""
+        self._piece_bytes = budget_bytes // 2
+        self._held: list[Record] = []
+        self._held_bytes = 0
+        self._file: IO[bytes] | None = None
+        self._pieces: list[int] = []
+
+    def append(self, record: Record) -> None:
+        """Put a record at the end."""
+        self._held.append(record)
+        arrays = (getattr(record, field.name) for field in fields(record))
+        self._held_bytes += sum(a.nbytes for a in arrays if isinstance(a, np.ndarray))
+        if self._held_bytes > self._piece_bytes:
+            self._spool()
+
+    def __reversed__(self) -> Iterator[Record]:
+        """From the last record to the first."""
+        yield from reversed(self._held)
+        for start in reversed(self._pieces):
+            assert self._file is not None
+            self._file.seek(start)
+            yield from reversed(pickle.load(self._file))
+
+    def _spool(self) -> None:
+        """Move what is held to the file."""
+        if self._file is None:
+            self._file = TemporaryFile()  # noqa: SIM115 - it lives as long as the tape
+            weakref.finalize(self, self._file.close)
+        self._pieces.append(self._file.tell())
+        pickle.dump(self._held, self._file, protocol=5)
+        self._held, self._held_bytes = [], 0
