@@ -26,6 +26,7 @@ from simbench.errors import FilterFailure
 from simbench.run import Watch
 from vislam.arrays import Array
 from vislam.filters import Factory
+from vislam.filters.protocol import Finishing
 from vislam.types import Belief, Innovation
 
 EPS = (1e-3, 1e-4)
@@ -252,6 +253,9 @@ def _calls(factory: Factory, drive: ShortDrive, readings: Readings) -> Iterator[
             yield held(f"predict {i - 1}", i)
         innovation = watch(f"update {i}", filter_.update, frame)
         yield held(f"update {i}", i, innovation)
+    if isinstance(filter_, Finishing):
+        final = watch("finish", filter_.finish)
+        yield Call(name="finish", frame=drive.frames - 1, belief=final, whitened=None)
 
 
 def _without_noise(claim: Call, drive: ShortDrive) -> Finding | None:
