@@ -14,7 +14,8 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 from scipy.special import chdtrc, chdtri, gammainc, gammaincc, ndtr, ndtri, pdtrik
 
-from simbench.checks.audit import AuditResult, SceneAudit, audit, audit_drive
+from simbench.checks.audit import audit, audit_drive
+from simbench.checks.findings import AuditResult, SceneAudit
 from simbench.checks.montecarlo import AGES, ChiSquare, Innovations, RunSummary, monte_carlo
 from simbench.checks.short_drive import ShortDrive
 from simbench.errors import InputError
