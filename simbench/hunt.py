@@ -20,6 +20,7 @@ from hypothesis.configuration import set_hypothesis_home_dir
 from hypothesis.errors import NoSuchExample
 
 from simbench.bugs import BUGS
+from simbench.checks import conformance
 from simbench.checks.audit import audit_drive
 from simbench.checks.short_drive import ShortDrive
 from simbench.errors import InputError
@@ -44,14 +45,20 @@ MOST_DRAWN = 200
 
 
 def judge(check: str) -> Judge:
-    """The judge behind a check's name: `audit`.
+    """The judge behind a check's name: `audit`, or one of `simbench.checks.conformance`.
 
     Raises:
         InputError: there is no such check.
     """
     if check == "audit":
         return _audited
-    raise InputError(f"--check {check}: expected audit.")
+    checked = conformance.resolve(check)
+
+    def judged(factory: Factory, drive: ShortDrive) -> str | None:
+        result = checked(factory, drive)
+        return result.reason if result.failed else None
+
+    return judged
 
 
 def _audited(factory: Factory, drive: ShortDrive) -> str | None:
@@ -92,7 +99,7 @@ class Hunt:
 
     Attributes:
         found: the smallest scene where the filter fails, None where there was none.
-        tried: scenes that the filter was judged on.
+        tried: different scenes that were drawn.
         ended: "done", "time" where the seconds ran out, or "interrupted".
     """
 
