@@ -6,22 +6,23 @@ was seen. Data without noise keep every estimate where it is, so that it does no
 of them a method linearises.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import numpy as np
 
-from simbench.checks.chart import derivative, state_of, varied
+from simbench.checks.chart import derivative, moved, state_of, varied
 from simbench.checks.result import CheckResult, check, judged
 from simbench.checks.short_drive import ShortDrive
 from simbench.checks.structure import observation_matrix, through
-from simbench.checks.trace import Call, Feed, white_box
+from simbench.checks.trace import Call, Feed, held, white_box
 from simbench.sensors.camera import camera_matrices, projected
-from vislam.arrays import Array
+from vislam.arrays import Array, IntArray
 from vislam.filters import Factory
 from vislam.filters.records import Augment, Correct, Linear
 from vislam.lie import se3
-from vislam.types import Noise, State, StereoFrame, Task, Twist
+from vislam.types import Belief, Noise, StereoFrame, Task, Twist
 
 #: Finite differences are good to about 1e-10.
 ACCURACY = 1e-6
@@ -58,37 +59,45 @@ class Block:
     difference: float
 
 
+ALL_ROWS = MappingProxyType({"": slice(None)})
+
+
 def _blocks(
     task: Task, before: Call, after: Call, step: StereoFrame | tuple[Twist, float]
 ) -> Iterator[Block]:
-    for record in after.records:
+    for record, ids in held(before, after):
+        start = _with(ids, before, after)
         match record:
             case Linear():
                 what, motion = "A", np.eye(4)
                 if not isinstance(step, StereoFrame):
                     what, motion = "F", se3.exp(step[1] * step[0].vector)
-                size = 6 + 3 * len(before.belief.ids)
-                yield from _compared(
-                    f"{after.name}: {what}",
-                    through(record, np.eye(size)),
-                    _transition(before, after, motion),
-                    {"pose": slice(0, 6), "landmark": slice(6, None)},
-                )
+                got = through(record, np.eye(6 + 3 * len(ids)))
+                expected = _transition(start, _with(ids, after, before), motion)
+                rows = {"pose": slice(0, 6), "landmarks": slice(6, None)}
+                yield from _compared(f"{after.name}: {what}", got, expected, rows)
             case Correct():
-                rows = whitening(task.noise) @ _observation(task, before, record)
-                yield from _compared(
-                    f"{after.name}: H",
-                    observation_matrix(record, rows.shape[-1]),
-                    rows.reshape(-1, rows.shape[-1]),
-                    {"": slice(None)},
-                )
+                expected = _observation(task, start, record)
+                got = observation_matrix(record, expected.shape[1])
+                yield from _compared(f"{after.name}: H", got, expected)
             case Augment():
-                expected = _birth(after, len(record.G) // 3)
+                new = after.belief.ids[~np.isin(after.belief.ids, ids)][: len(record.G) // 3]
+                expected = _birth(_with(np.append(ids, new), after, before), len(new))
                 got = np.pad(record.G, ((0, 0), (0, expected.shape[1] - 6)))
-                yield from _compared(f"{after.name}: G", got, expected, {"": slice(None)})
+                yield from _compared(f"{after.name}: G", got, expected)
 
 
-def _compared(name: str, got: Array, expected: Array, rows: dict[str, slice]) -> Iterator[Block]:
+def _with(ids: IntArray, call: Call, other: Call) -> Belief:
+    """The belief after a call, of these landmarks; those it lacks are from another call."""
+    beliefs = (other.belief, call.belief)
+    known = {i: m for b in beliefs for i, m in zip(b.ids.tolist(), b.landmarks, strict=True)}
+    landmarks = np.reshape([known[i] for i in ids.tolist()], (-1, 3))
+    return replace(call.belief, ids=ids, landmarks=landmarks)
+
+
+def _compared(
+    name: str, got: Array, expected: Array, rows: Mapping[str, slice] = ALL_ROWS
+) -> Iterator[Block]:
     """By rows, and by the columns of translation, rotation and landmarks."""
     columns = {
         "translation": slice(0, 3),
@@ -107,66 +116,53 @@ def _compared(name: str, got: Array, expected: Array, rows: dict[str, slice]) ->
                 )
 
 
-def _transition(before: Call, after: Call, motion: Array) -> Array:
+def _transition(before: Belief, after: Belief, motion: Array) -> Array:
     """The derivative d e' / d e, for e' the error after the body's motion."""
-    state, size = state_of(before.belief), 6 + 3 * len(before.belief.ids)
-    kept = np.isin(after.belief.ids, before.belief.ids)
+    state = state_of(before)
 
     def error(d: Array) -> Array:
         true = varied(state, d)
-        true = replace(true, T_world_imu=true.T_world_imu @ motion)
-        old = replace(
-            after.belief, ids=after.belief.ids[kept], landmarks=after.belief.landmarks[kept]
-        )
-        return old.error(true)
+        return after.error(replace(true, T_world_imu=true.T_world_imu @ motion))
 
-    return _by_error(before, derivative(error, size))
+    return _by_error(before, error)
 
 
-def _observation(task: Task, before: Call, record: Correct) -> Array:
-    """The derivative d pixels / d e of each observed landmark, shape (k, 4, 6 + 3m)."""
-    state = state_of(before.belief)
-    places = np.searchsorted(state.ids, before.belief.ids[record.slots])
+def _observation(task: Task, belief: Belief, record: Correct) -> Array:
+    """The derivative d z / d e of the whitened sightings, shape (3k, 6 + 3m)."""
+    state = state_of(belief)
+    places = np.searchsorted(state.ids, belief.ids[record.slots])
     matrices = camera_matrices(task.calibration.rig, task.calibration.T_imu_cam)
+    rows = whitening(task.noise)
 
-    def pixels(d: Array) -> Array:
+    def sightings(d: Array) -> Array:
         true = varied(state, d)
         s = se3.apply(se3.inverse(true.T_world_imu), true.landmarks[:, places])
-        return projected(matrices, s.reshape(-1, 3))[0].reshape(len(d), -1)
+        pixels = projected(matrices, s.reshape(-1, 3))[0]
+        return (pixels @ rows.T).reshape(len(d), 3 * len(places))
 
-    size = 6 + 3 * len(state.ids)
-    return _by_error(before, derivative(pixels, size)).reshape(-1, 4, size)
+    return _by_error(belief, sightings)
 
 
-def _birth(after: Call, born: int) -> Array:
+def _birth(belief: Belief, born: int) -> Array:
     """The derivative d e_new / d e, for landmarks that stand where the pose sighted them."""
-    belief = after.belief
-    state, size = state_of(belief), 6 + 3 * (len(belief.ids) - born)
-    is_new = np.isin(state.ids, belief.ids[len(belief.ids) - born :])
+    kept = len(belief.ids) - born
+    old = replace(belief, ids=belief.ids[:kept], landmarks=belief.landmarks[:kept])
+    new = replace(belief, ids=belief.ids[kept:], landmarks=belief.landmarks[kept:])
 
     def error(d: Array) -> Array:
-        old = State(
-            T_world_imu=state.T_world_imu,
-            ids=state.ids[~is_new],
-            landmarks=state.landmarks[~is_new],
-        )
-        true = varied(old, d)
-        moved = true.T_world_imu @ se3.inverse(state.T_world_imu)
-        landmarks = np.empty((len(d), len(state.ids), 3))
-        landmarks[:, ~is_new] = true.landmarks
-        landmarks[:, is_new] = se3.apply(moved, state.landmarks[is_new])
-        return belief.error(replace(state, T_world_imu=true.T_world_imu, landmarks=landmarks))
+        T = varied(state_of(old), d).T_world_imu
+        motion = T @ se3.inverse(belief.T_world_imu)
+        return new.error(moved(state_of(new), motion))[..., 6:]
 
-    J = derivative(error, size)
-    return np.asarray(np.linalg.solve(J[:size].T, J[size:].T).T)
+    return _by_error(old, error)
 
 
-def _by_error(call: Call, by_state: Array) -> Array:
-    """A derivative by the state's own numbers, made one by the error in the belief's chart."""
-    state = state_of(call.belief)
-    size = by_state.shape[1]
-    by_d = derivative(lambda d: call.belief.error(varied(state, d)), size)
-    return np.asarray(np.linalg.solve(by_d.T, by_state.T).T)
+def _by_error(belief: Belief, function: Callable[[Array], Array]) -> Array:
+    """The derivative by the error in a belief's chart of a function of the state's own numbers."""
+    state, size = state_of(belief), 6 + 3 * len(belief.ids)
+    by_state = derivative(function, size)
+    error_by_state = derivative(lambda d: belief.error(varied(state, d)), size)
+    return np.asarray(np.linalg.solve(error_by_state.T, by_state.T).T)
 
 
 def whitening(noise: Noise) -> Array:

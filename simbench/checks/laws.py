@@ -124,9 +124,9 @@ def divide_the_frame(factory: Factory, drive: ShortDrive | None = None) -> Check
     for a, b in zip(whole, (calls[end] for end in ends), strict=True):
         if not covariances(a.belief):
             raise NotApplicable("the filter states no covariance to measure a difference by")
-        found = max(
-            covariance_difference(a.belief, b.belief), in_sigmas(a.belief, b.belief) / LITTLE
-        )
+        found = covariance_difference(a.belief, b.belief)
+        if np.isfinite(found):
+            found = max(found, in_sigmas(a.belief, b.belief) / LITTLE)
         if not found <= worst:
             worst, where = found, a.name
     records = any(call.records for call in whole)

@@ -31,7 +31,7 @@ from simbench.checks.result import (
     judged,
 )
 from simbench.checks.short_drive import ShortDrive
-from simbench.checks.trace import Call, Feed, trace, white_box
+from simbench.checks.trace import Call, Feed, held, trace, white_box
 from vislam.arrays import Array, IntArray
 from vislam.filters import Factory
 from vislam.filters.records import Augment, Correct, Drop, Linear
@@ -49,7 +49,7 @@ GAIN = 1e-6
 @check
 def null_space(factory: Factory, drive: ShortDrive | None = None) -> CheckResult:
     """White box: N, carried from the start through F, A and births, is in the null space of H."""
-    calls = white_box(factory, Feed.of(drive).streamed())
+    calls = _white_box(factory, drive)
     carried, local = _leaks(calls)
     worst = max(carried, key=lambda leak: leak.size, default=Leak(where="", size=0.0))
     first = next((leak for leak in carried if leak.size > LEAK), worst)
@@ -73,7 +73,7 @@ _METHOD = (
 @check
 def nullity(factory: Factory, drive: ShortDrive | None = None) -> CheckResult:
     """White box: of all that was observed, exactly the six motions of the world stay open."""
-    calls = white_box(factory, Feed.of(drive).streamed())
+    calls = _white_box(factory, drive)
     observed = _observability(calls)
     singular = np.linalg.svd(observed, compute_uv=False)
     rank = int(np.count_nonzero(singular > RANK * singular.max(initial=0.0)))
@@ -98,7 +98,7 @@ def gauge_information(factory: Factory, drive: ShortDrive | None = None) -> Chec
     N is taken at the filter's estimates, or, as a filter may hold on to its first ones, at the
     pose as predicted and the landmarks as they entered; it has to do with one of the two.
     """
-    gain, where = min(_gains(trace(factory, Feed.of(drive).streamed())))
+    gain, where = min(_gains(trace(factory, _feed(drive))))
     return judged(
         gain,
         GAIN,
@@ -109,13 +109,27 @@ def gauge_information(factory: Factory, drive: ShortDrive | None = None) -> Chec
     )
 
 
+def _feed(drive: ShortDrive | None, noise: float = 1.0) -> Feed:
+    """Readings whose every sighting is taken in: a gate that refuses all would hide all."""
+    feed = Feed.of(drive, noise).streamed()
+    return replace(feed, task=replace(feed.task, gate=None))
+
+
+def _white_box(factory: Factory, drive: ShortDrive | None) -> list[tuple[Call, Call]]:
+    calls = white_box(factory, _feed(drive))
+    records = [record for _, after in calls for record in after.records]
+    if not any(len(record.slots) for record in records if isinstance(record, Correct)):
+        raise NotApplicable("the filter never took in a sighting of a landmark that it held")
+    return calls
+
+
 def _kind(mistake: bool) -> FailureKind:
     return MISTAKE if mistake else PROPERTY
 
 
 def _gain_without_noise(factory: Factory, drive: ShortDrive | None) -> float:
     """Where all estimates are the truth, it does not matter at which a method linearises."""
-    return min(_gains(trace(factory, Feed.of(drive, noise=0.0).streamed())))[0]
+    return min(_gains(trace(factory, _feed(drive, noise=0.0))))[0]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -131,6 +145,9 @@ class Leak:
     size: float
 
 
+_MOTION = "a motion of the world to something else"
+
+
 def _leaks(calls: list[tuple[Call, Call]]) -> tuple[list[Leak], list[Leak]]:
     """The leaks of every record: of N carried, and of N rebuilt at the estimates of each moment."""
     centre = calls[0][0].belief.T_world_imu[:3, 3]
@@ -138,13 +155,13 @@ def _leaks(calls: list[tuple[Call, Call]]) -> tuple[list[Leak], list[Leak]]:
     carried, local = [], []
     for before, after in calls:
         own, N_after = gauge(before.belief, centre), gauge(after.belief, centre)
-        for record in after.records:
+        for record, ids in held(before, after):
             match record:
                 case Correct():
                     carried.append(_seen(after, record, N))
                     local.append(_seen(after, record, own))
                 case Augment():
-                    newborn = N_after[-len(record.G) or len(N_after) :]
+                    newborn = N_after[6 + 3 * len(ids) :][: len(record.G)]
                     where = f"{after.name} lets a landmark in that does not move with the world"
                     carried.append(_difference(where, record.G @ N[:6], newborn))
                     local.append(_difference(where, record.G @ N_after[:6], newborn))
@@ -153,9 +170,11 @@ def _leaks(calls: list[tuple[Call, Call]]) -> tuple[list[Leak], list[Leak]]:
                     N, own = _without(N, record.slots), _without(own, record.slots)
                 case Linear():
                     N, own = through(record, N), through(record, own)
-                    what = "predicts" if after.innovation is None else "transports"
-                    where = f"{after.name} {what} a motion of the world to something else"
-                    local.append(_difference(where, own, N_after[: len(own)]))
+                    if after.name.startswith("predict"):
+                        local.append(_difference(f"{after.name} moves {_MOTION}", own, N_after))
+                    elif record.M is not None:  # else it resets the pose alone, as some EKFs do
+                        kept = N_after[: len(own)]
+                        local.append(_difference(f"{after.name} transports {_MOTION}", own, kept))
     return carried, local
 
 

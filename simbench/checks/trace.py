@@ -13,9 +13,9 @@ from simbench.checks.short_drive import ShortDrive
 from simbench.errors import FilterFailure
 from simbench.rng import stream
 from simbench.run import Watch
-from vislam.arrays import Array
+from vislam.arrays import Array, IntArray
 from vislam.filters import Factory
-from vislam.filters.records import Record
+from vislam.filters.records import Augment, Drop, Record
 from vislam.types import Belief, Innovation, StereoFrame, Task, Twist
 
 #: The scene of a check that is given none: births, gaps, halved sightings, four pixel sigmas.
@@ -137,14 +137,39 @@ def white_box(factory: Factory, feed: Feed) -> list[tuple[Call, Call]]:
     """Run a filter that shows its records: each call, after the one before it.
 
     Raises:
-        NotApplicable: it shows none, or starts with a map.
+        NotApplicable: it shows none, or not all, or starts with a map.
     """
     calls = trace(factory, feed)
     if not any(call.records for call in calls):
         raise NotApplicable("the filter does not show its records")
     if len(feed.task.prior.ids):
         raise NotApplicable("written for a start without a map")
-    return list(pairwise(calls))
+    pairs = list(pairwise(calls))
+    for before, after in pairs:
+        held(before, after)
+    return pairs
+
+
+def held(before: Call, after: Call) -> list[tuple[Record, IntArray]]:
+    """The records of a call, each with the landmarks in the order of the state that it changes.
+
+    Raises:
+        NotApplicable: the records are not of the landmarks that the beliefs hold.
+    """
+    ids = before.belief.ids
+    new = after.belief.ids[~np.isin(after.belief.ids, ids)]
+    found = []
+    for record in after.records:
+        found.append((record, ids))
+        match record:
+            case Augment():
+                born = len(record.G) // 3
+                ids, new = np.append(ids, new[:born]), new[born:]
+            case Drop():
+                ids = np.delete(ids, record.slots)
+    if not np.array_equal(ids, after.belief.ids):
+        raise NotApplicable(f"{after.name}: the records are not of the landmarks in the belief")
+    return found
 
 
 def _checked(name: str, belief: Belief) -> Belief:
