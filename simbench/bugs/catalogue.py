@@ -121,7 +121,7 @@ CATALOGUE = MappingProxyType(
             audit=Trace(scene="births", call="update 1", block="landmark covariance (age 1)"),
         ),
         "covariance-never-symmetrised": Bug(
-            what="(I - K H) P multiplied out, and never symmetrised.",
+            what="(I - K H) P multiplied out, and never symmetrised: shows in a vague start.",
             source="zauberzeug/feldfreund_devkit#47, decargroup/navlie 1e79363",
             make=f"{_PARTS}:covariance_never_symmetrised",
             checks=("covariance-laws",),

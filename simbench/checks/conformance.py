@@ -35,6 +35,9 @@ _BY_MODULE = {
         "ignore-what-a-mask-hides": "what a half-missing feature still has never reaches the state",
         "state-covariances": "symmetric, no eigenvalue below zero, blocks equal to the joint one's",
     },
+    "vague": {
+        "find-the-place": "covariances stay covariances where a known map tells a vague start all",
+    },
     "gate": {
         "refuse-as-often-as-told": "a gate of probability p refuses 1 - p of right sightings",
     },
