@@ -2,7 +2,8 @@
 
 Every statistic of the Monte Carlo has a known null distribution (`simbench.checks.montecarlo`), is
 judged from both sides, and its p-value is corrected by Holm's method, so that a right filter fails
-anywhere in the table with the stated probability at the most. The audit has no chance in it.
+anywhere in the table with the stated probability at the most. The audit and the laws of
+`simbench.checks.conformance` have no chance in them.
 
 Source: Holm, A simple sequentially rejective multiple test procedure, Scand. J. Statist. 6, 1979.
 """
@@ -15,8 +16,11 @@ import numpy as np
 from scipy.special import chdtrc, chdtri, gammainc, gammaincc, ndtr, ndtri, pdtrik
 
 from simbench.checks.audit import audit, audit_drive
+from simbench.checks.conformance import CHECKS
+from simbench.checks.conformance import resolve as resolve_check
 from simbench.checks.findings import AuditResult, SceneAudit
 from simbench.checks.montecarlo import AGES, ChiSquare, Innovations, RunSummary, monte_carlo
+from simbench.checks.result import MISTAKE, CheckResult
 from simbench.checks.short_drive import ShortDrive
 from simbench.errors import InputError
 from simbench.filters import resolve
@@ -29,7 +33,8 @@ from vislam.filters import Factory
 RUNS = 20
 FALSE_ALARM = 0.01
 #: Of noise, in the leading frames of a scene that are audited.
-MOST_SCALARS = 512
+MOST_SCALARS = 256
+AUDIT, HERE = "exact-audit", "exact-audit of this scene"
 
 Kind: TypeAlias = Literal["pose", "map", "newborn", "landmark", "nis", "dt", "whiteness", "gate"]
 
@@ -45,7 +50,8 @@ class Check:
         low, high: where a right filter's statistic lies, in all checks at once but for the
             false-alarm rate; as Holm's correction has it.
         p: after the correction; None where no chance is involved.
-        reason: what a failure of this kind usually means; empty where it passed.
+        reason: what a failure of this kind usually means; of a check that passed, a property of the
+            method that it found, or empty.
     """
 
     name: str
@@ -102,14 +108,14 @@ class Verdict:
         for check in self.checks:
             numbers = (check.statistic, check.low, check.high)
             cells = "  ".join(f"{_cell(number):>9}" for number in numbers)
-            mark = "ok" if check.passed else "FAIL"
+            mark = "FAIL" if not check.passed else "note" if check.reason else "ok"
             p = "-" if check.p is None else f"{check.p:.2g}"
             yield f"{mark:4}  {check.name:{width}}  {cells}  {p:>7}"
         for name, why in self.skipped.items():
             yield f"{'skip':4}  {name}: {why}"
         reasons: dict[str, list[str]] = {}
         for check in self.checks:
-            if not check.passed:
+            if check.reason:
                 reasons.setdefault(check.reason, []).append(check.name)
         for reason, names in reasons.items():
             yield f"{'; '.join(names)}: {reason}"
@@ -145,7 +151,8 @@ def check(
         jobs: processes; see `monte_carlo`.
     """
     made = resolve(factory) if isinstance(factory, str) else factory
-    exact = audit(made)
+    audits = audit(made)
+    laws = [resolve_check(name)(made, None) for name in CHECKS if name != AUDIT]
     here = _audit_here(scenario, made, seed)
     summaries = monte_carlo(scenario, factory, range(runs), seed=seed, jobs=jobs)
     chance = judge(
@@ -154,19 +161,20 @@ def check(
         gate=scenario.filter.gate_probability,
         outliers=scenario.camera.outliers.share > 0,
     )
-    checks, skipped = [_audit_check("exact audit", exact)], dict(chance.skipped)
+    skipped = {law.name: law.reason for law in laws if law.outcome == "skipped"}
+    exact = [_audited(AUDIT, audits)]
     if isinstance(here, SceneAudit):
-        checks.append(_audit_check("exact audit of this scene", AuditResult(scenes=(here,))))
+        exact.append(_audited(HERE, AuditResult(scenes=(here,))))
     else:
-        skipped["exact audit of this scene"] = here
-    audits = AuditResult(scenes=(*exact.scenes, *([here] if isinstance(here, SceneAudit) else [])))
+        skipped[HERE] = here
+    exact += [_law(law) for law in laws if law.outcome != "skipped"]
     return Verdict(
-        checks=(*checks, *chance.checks),
-        skipped=skipped,
+        checks=(*exact, *chance.checks),
+        skipped=skipped | dict(chance.skipped),
         figures=chance.figures,
         runs=runs,
         false_alarm=false_alarm,
-        conclusion=_conclusion(audits, chance, untold(scenario)),
+        conclusion=_conclusion(exact, here, chance, untold(scenario)),
     )
 
 
@@ -179,13 +187,25 @@ def _audit_here(scenario: Scenario, factory: Factory, seed: int | None) -> Scene
     return audit_drive(factory, drive)
 
 
-def _audit_check(name: str, result: AuditResult) -> Check:
-    deviations = [scene.deviations[-1].block for scene in result.scenes if scene.deviations]
+def _audited(name: str, audits: AuditResult) -> Check:
+    """The worst deviation, at the smaller eps, and the first that does not vanish."""
+    deviations = [scene.deviations[-1].block for scene in audits.scenes if scene.deviations]
     return Check(
         name=name,
-        passed=result.passed,
+        passed=audits.passed,
         statistic=_finite(max(deviations, default=np.inf)),
-        reason="" if result.first is None else str(result.first),
+        reason="" if audits.first is None else f"first at {audits.first}",
+    )
+
+
+def _law(law: CheckResult) -> Check:
+    """A property of a method that is coded rightly is told, and does not fail a filter."""
+    return Check(
+        name=law.name,
+        passed=law.failure != MISTAKE,
+        statistic=None if law.statistic is None else _finite(law.statistic),
+        high=law.limit,
+        reason=f"{law.failure}: {law.reason}" if law.failed else "",
     )
 
 
@@ -210,14 +230,21 @@ def untold(scenario: Scenario) -> tuple[str, ...]:
     return tuple(found)
 
 
-def _conclusion(audits: AuditResult, chance: Verdict, lies: Sequence[str]) -> str:
+def _conclusion(
+    exact: Sequence[Check], here: SceneAudit | str, chance: Verdict, lies: Sequence[str]
+) -> str:
     """What the instruments say together."""
-    if audits.first is not None:
-        return f"A mistake in the code, first at {audits.first}."
-    if chance.passed:
-        return "No mistake was found, and the covariance holds in this scene."
+    mistakes = [f"{check.name}: {check.reason}" for check in exact if not check.passed]
+    if mistakes:
+        return f"A mistake in the code. {mistakes[0]}."
     if chance.figures["failed"]:
         return "The filter raises at this scene's noise; the audit's small noise does not reach it."
+    properties = [f"{check.name}: {check.reason}" for check in exact if check.reason]
+    if chance.passed:
+        conclusion = "No mistake was found, and the covariance holds in this scene."
+        if properties:
+            conclusion += f" But {properties[0]}."
+        return conclusion
     if lies:
         return (
             "Correct code in a scene that does not tell it the truth "
@@ -227,7 +254,9 @@ def _conclusion(audits: AuditResult, chance: Verdict, lies: Sequence[str]) -> st
         "Correct code, inconsistent method in this scene: what is linear in the noise is right, as "
         "the audit passed, but the covariance does not hold at the scene's noise."
     )
-    noise = audits.scenes[-1].noise_at_ten_percent
+    if properties:
+        conclusion += f" {properties[0]}."
+    noise = here.noise_at_ten_percent if isinstance(here, SceneAudit) else None
     if noise is not None and noise < 1:
         conclusion += (
             " The scene lies outside the linear regime of this filter: in its leading frames "
