@@ -219,23 +219,37 @@ def hunt(name: str, check: str, seed: int, max_seconds: float, out: Path, as_jso
 
 
 @cli.command()
+@click.option("--matrix", "measure", is_flag=True, help="Measure which check catches which.")
 @_options()
-def bugs(as_json: bool) -> None:
+def bugs(measure: bool, as_json: bool) -> int:
     """Say what mistakes there are to judge a bench by, and what must catch each.
 
-    slam+NAME names a filter with the mistake in it, wherever a filter is named.
+    slam+NAME names a filter with the mistake in it, wherever a filter is named. With --matrix, x is
+    a check that catches a mistake, and ! one that should and does not, or that catches a control.
     """
     from simbench.bugs import BUGS
 
+    if measure:
+        from simbench.bugs.matrix import matrix, missed, table
+
+        found = matrix()
+        if as_json:
+            _print_json(
+                {n: {c: cell.as_json() for c, cell in row.items()} for n, row in found.items()}
+            )
+        else:
+            click.echo(table(found))
+        return FAILED if any(missed(name, row) for name, row in found.items()) else DONE
     if as_json:
         _print_json([{"name": name, **bug.as_json()} for name, bug in BUGS.items()])
-        return
+        return DONE
     for name, bug in BUGS.items():
         click.echo(f"{name}  {bug.what}")
         click.echo(f"  source     {bug.source}")
         click.echo(f"  base       {bug.base}")
         click.echo(f"  caught by  {', '.join(bug.checks) or 'none: a control'}")
         click.echo(f"  audit      {bug.audit or f'blind: {bug.blind}'}")
+    return DONE
 
 
 @cli.command()
