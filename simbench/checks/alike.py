@@ -57,14 +57,17 @@ def _difference(a: Belief, b: Belief) -> float:
 
 
 def covariance_difference(a: Belief, b: Belief) -> float:
-    """The largest difference of the covariances, in parts of two standard deviations."""
+    """The same of all covariances of two beliefs, by landmark; infinite where one states others."""
     stated = [name for name, _ in covariances(a)]
     if sorted(stated) != sorted(name for name, _ in covariances(b)):
         return np.inf
     order = np.argsort(np.argsort(a.ids))
     b = _in_order(b, np.argsort(b.ids)[order])
     return max(
-        (_relative(P, Q) for (_, P), (_, Q) in zip(covariances(a), covariances(b), strict=True)),
+        (
+            relative_difference(P, Q)
+            for (_, P), (_, Q) in zip(covariances(a), covariances(b), strict=True)
+        ),
         default=0.0,
     )
 
@@ -108,7 +111,8 @@ def in_sigmas(a: Belief, b: Belief) -> float:
     return _largest(error / scale)
 
 
-def _relative(P: Array, Q: Array) -> float:
+def relative_difference(P: Array, Q: Array) -> float:
+    """The largest difference of two covariances, in parts of two standard deviations."""
     sigma = np.sqrt(np.maximum(np.diag(P), np.diag(Q)))
     sigma = np.where(sigma > 0, sigma, 1.0)
     return _largest((P - Q) / np.outer(sigma, sigma))

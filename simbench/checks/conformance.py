@@ -43,6 +43,7 @@ _BY_MODULE = {
     },
     "jacobians": {
         "jacobians": "F, H and G that a filter shows are those of their definitions",
+        "follow-the-records": "the covariance is what a filter's records make of the one before",
     },
     "structure": {
         "null-space": "F, H and G that a filter shows keep the motions of the world unobservable",

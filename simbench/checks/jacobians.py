@@ -1,4 +1,4 @@
-"""Are the Jacobians that a filter shows those of their definitions?
+"""Are the Jacobians that a filter shows those of their definitions, and does it use them?
 
 A definition is a composition of maps, differentiated through the filter's own chart by finite
 differences: a pose is moved by the twist, a point is projected, a first sighting is put where it
@@ -12,8 +12,9 @@ from types import MappingProxyType
 
 import numpy as np
 
+from simbench.checks.alike import ROUNDING, relative_difference
 from simbench.checks.chart import derivative, moved, state_of, varied
-from simbench.checks.result import CheckResult, check, judged
+from simbench.checks.result import CheckResult, NotApplicable, check, judged
 from simbench.checks.short_drive import ShortDrive
 from simbench.checks.structure import observation_matrix, through
 from simbench.checks.trace import Call, Feed, held, white_box
@@ -48,6 +49,31 @@ def jacobians(factory: Factory, drive: ShortDrive | None = None) -> CheckResult:
         if first is None
         else f"{first.name} is not its definition's, by "
         f"{first.difference:.2g} of its largest element",
+    )
+
+
+@check
+def follow_the_records(factory: Factory, drive: ShortDrive | None = None) -> CheckResult:
+    """White box: the covariance after a call is what the records make of the one before.
+
+    Where it is not, the records are right and what is done with them is wrong.
+    """
+    worst, where = 0.0, "start"
+    for before, after in white_box(factory, Feed.of(drive)):
+        P, expected = after.belief.joint_covariance, before.belief.joint_covariance
+        if P is None or expected is None:
+            raise NotApplicable("the filter states no joint covariance of pose and landmarks")
+        for record in after.records:
+            expected = record.forward(expected)
+        found = relative_difference(expected, P)
+        if not found <= worst:
+            worst, where = found, after.name
+    return judged(
+        worst,
+        ROUNDING,
+        good="every covariance is what the records make of the one before",
+        bad=f"{where}: the covariance is not what the records make of the one before, by "
+        f"{worst:.2g} of two standard deviations",
     )
 
 

@@ -172,6 +172,26 @@ def test_wrong_block_is_named(parts, block):
     assert result.reason.startswith(block)
 
 
+@pytest.mark.parametrize("scene", list(SCENES))
+@pytest.mark.parametrize("name", ["slam", "slam-constant-prior", "slam-fej", "slam-transport"])
+def test_covariance_follows_the_records(name, scene):
+    result = jacobians.follow_the_records(resolve(name), drive(scene))
+    assert result.passed, str(result)
+
+
+def test_covariance_that_does_not_follow_the_records_is_found():
+    class Uncorrelated(EkfSlam):
+        def update(self, frame):
+            innovation = super().update(frame)
+            self.P[:6, 6:] = self.P[6:, :6] = 0
+            return innovation
+
+    result = jacobians.follow_the_records(Uncorrelated)
+    assert result.failed
+    assert result.reason.startswith("update 0")
+    assert jacobians.follow_the_records(wrapped(EkfSlam)).outcome == "skipped"
+
+
 def test_gauge_is_the_known_basis_of_the_paper_s_chart():
     """N = [R^T, -R^T p^; 0, R^T; I, -f^] in (rho, phi, f), for motions about the origin."""
     T, f = se3.exp(np.array([3.0, -2.0, 1.0, 0.4, -0.9, 1.2])), np.array([[4.0, 5.0, -6.0]])
