@@ -1,8 +1,9 @@
 """Searches scenes for one where a filter fails a check, and shrinks it to the smallest.
 
 Hypothesis draws scenes from `simbench.strategies.scenarios` and simplifies the first that fails.
-Its randomness comes from a seed and it has no database, so the same hunt finds the same scene. A
-hunt takes checks without chance: under a statistical one a shrink drifts.
+Its randomness comes from a seed and it has no database, so the same command finds the same scene.
+(In a process with other modules the way there may be another: hypothesis tries constants of the
+code that is loaded.) A hunt takes checks without chance: under a statistical one a shrink drifts.
 """
 
 import random
