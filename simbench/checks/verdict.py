@@ -1,6 +1,6 @@
 """One verdict from all instruments: is the code right, and does the method hold in this scene?
 
-Every statistic of the Monte Carlo has a known null distribution (`simbench.checks.montecarlo`), is
+Every statistic of the Monte Carlo has a known null distribution (`simbench.checks.nulls`), is
 judged from both sides, and its p-value is corrected by Holm's method, so that a right filter fails
 anywhere in the table with the stated probability at the most. The audit and the laws of
 `simbench.checks.conformance` have no chance in them.
@@ -8,23 +8,22 @@ anywhere in the table with the stated probability at the most. The audit and the
 Source: Holm, A simple sequentially rejective multiple test procedure, Scand. J. Statist. 6, 1979.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any, Literal, TypeAlias
+from typing import Any
 
 import numpy as np
-from scipy.special import chdtrc, chdtri, gammainc, gammaincc, ndtr, ndtri, pdtrik
 
 from simbench.checks.audit import audit, audit_drive
 from simbench.checks.conformance import CHECKS
 from simbench.checks.conformance import resolve as resolve_check
 from simbench.checks.findings import AuditResult, SceneAudit
-from simbench.checks.montecarlo import AGES, ChiSquare, Innovations, RunSummary, monte_carlo
+from simbench.checks.montecarlo import RunSummary, monte_carlo
+from simbench.checks.nulls import Kind, Statistic, statistics
 from simbench.checks.result import MISTAKE, CheckResult
 from simbench.checks.short_drive import ShortDrive
 from simbench.errors import InputError
 from simbench.filters import resolve
-from simbench.metrics import chi_square_band
 from simbench.scenario import Scenario
 from simbench.sensors import simulate
 from vislam.arrays import Array
@@ -35,8 +34,6 @@ FALSE_ALARM = 0.01
 #: Of noise, in the leading frames of a scene that are audited.
 MOST_SCALARS = 256
 AUDIT, HERE = "exact-audit", "exact-audit of this scene"
-
-Kind: TypeAlias = Literal["pose", "map", "newborn", "landmark", "nis", "dt", "whiteness", "gate"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -287,7 +284,7 @@ def judge(
     failures = [s for s in summaries if s.failure is not None]
     whole = [s for s in summaries if s.failure is None]
     tests, skipped = [], {}
-    for name, found in _tests(whole, gate, outliers):
+    for name, found in statistics(whole, gate, outliers):
         if isinstance(found, str):
             skipped[name] = found
         else:
@@ -309,18 +306,7 @@ def judge(
     )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Test:
-    """A statistic, its own p-value, and its band at a level."""
-
-    name: str
-    kind: Kind
-    statistic: float
-    p: float
-    band: Callable[[float], tuple[float, float]]
-
-
-def _corrected(tests: Sequence[_Test], false_alarm: float) -> list[Check]:
+def _corrected(tests: Sequence[Statistic], false_alarm: float) -> list[Check]:
     """Holm's correction: the smallest p against rate / m, the next against rate / (m - 1), ..."""
     m = len(tests)
     order = sorted(range(m), key=lambda k: tests[k].p)
@@ -338,139 +324,14 @@ def _corrected(tests: Sequence[_Test], false_alarm: float) -> list[Check]:
             Check(
                 name=test.name,
                 passed=passed,
-                statistic=_finite(test.statistic),
+                statistic=_finite(test.value),
                 low=float(low),
                 high=float(high),
                 p=corrected[k],
-                reason="" if passed else _reason(test.kind, test.statistic > low, kinds),
+                reason="" if passed else _reason(test.kind, test.value > low, kinds),
             )
         )
     return checks
-
-
-def _tests(
-    runs: Sequence[RunSummary], gate: float | None, outliers: bool
-) -> Iterator[tuple[str, _Test | str]]:
-    """Every test by name, or why it is not made."""
-    if not runs:
-        return
-    no_pose = "the filter does not say how sure it is of the pose, or knows it exactly"
-    for i, frame in enumerate(runs[0].instants.tolist()):
-        name = f"pose NEES, frame {frame}"
-        yield name, _mean_square(name, "pose", [r.pose for r in runs], i) or no_pose
-    for i, frame in enumerate(runs[0].instants.tolist()):
-        name = f"map NEES given the pose, frame {frame}"
-        parts = [r.map_given_pose for r in runs]
-        yield name, _mean_square(name, "map", parts, i) or "no joint covariance of a map then"
-    for i, age in enumerate(AGES):
-        name = f"landmark NEES, {age}"
-        kind: Kind = "newborn" if age == "newborn" else "landmark"
-        parts = [r.landmark for r in runs]
-        yield name, _mean_square(name, kind, parts, i) or "no landmark of this age"
-    innovations = [r.innovations for r in runs if r.innovations is not None]
-    if not sum(int(i.nis.dof.sum()) for i in innovations):
-        yield "innovations", "the filter reports none, or accepts none"
-        return
-    yield "NIS", _nis(innovations, gate)
-    yield "NIS against dt", _against_dt(innovations)
-    yield "innovation whiteness", _whiteness(innovations)
-    yield "gate rejections", _rejections(innovations, gate, outliers)
-
-
-def _mean_square(name: str, kind: Kind, parts: Sequence[ChiSquare | None], i: int) -> _Test | None:
-    """Mean over runs of what is chi-square in each, per degree of freedom."""
-    value = sum(float(part.value[i]) for part in parts if part is not None)
-    dof = sum(int(part.dof[i]) for part in parts if part is not None)
-    return _chi_square(name, kind, value, dof) if dof else None
-
-
-def _chi_square(name: str, kind: Kind, value: float, dof: int, least: float = 1.0) -> _Test:
-    """A sum that is chi-square, but for a factor between `least` and 1 that nobody knows."""
-
-    def band(level: float) -> tuple[float, float]:
-        low, high = chi_square_band(dof, 1 - level)
-        return least * float(low) / dof, float(high) / dof
-
-    p = 2 * min(gammainc(dof / 2, value / least / 2), gammaincc(dof / 2, value / 2))
-    return _Test(name=name, kind=kind, statistic=value / dof, p=min(1.0, float(p)), band=band)
-
-
-def _nis(innovations: Sequence[Innovations], gate: float | None) -> _Test:
-    """NIS over its degrees of freedom.
-
-    A gate cuts the tail off, and so takes a share of the mean: all of it where the sightings of a
-    frame are independent, less where the pose's error is common to them.
-    """
-    value = sum(float(i.nis.value.sum()) for i in innovations)
-    dof = sum(int(i.nis.dof.sum()) for i in innovations)
-    least = 1.0
-    if gate is not None:
-        threshold = chdtri(4, 1 - gate)
-        least = float((1 - chdtrc(6, threshold)) / gate)
-    return _chi_square("NIS", "nis", value, dof, least)
-
-
-def _against_dt(innovations: Sequence[Innovations]) -> _Test | str:
-    """The correlation of a frame's NIS with the interval before it, weighted by its degrees."""
-    dt, nis, dof = (
-        np.concatenate(column)
-        for column in zip(*((i.dt_s, i.nis.value, i.nis.dof) for i in innovations), strict=True)
-    )
-    dt, nis, dof = dt[dof > 0], nis[dof > 0], dof[dof > 0]
-    if np.ptp(dt) < 1e-6 * dt.mean():
-        return "the interval between frames is constant; set time_jitter"
-    a = dt - np.average(dt, weights=dof)
-    b = nis - dof * nis.sum() / dof.sum()
-    r = float(a @ b / np.sqrt((dof @ a**2) * np.sum(b**2 / dof)))
-    root_n = float(np.sqrt(len(dt)))
-
-    def band(level: float) -> tuple[float, float]:
-        edge = float(-ndtri(level / 2)) / root_n
-        return -edge, edge
-
-    p = float(2 * ndtr(-abs(r) * root_n))
-    return _Test(name="NIS against dt", kind="dt", statistic=r, p=p, band=band)
-
-
-def _whiteness(innovations: Sequence[Innovations]) -> _Test | str:
-    """Ljung-Box over the lags, of the autocorrelation over all runs; it has but one tail."""
-    pairs = np.sum([i.pairs for i in innovations], axis=0)
-    seen = pairs > 0
-    dof = int(np.count_nonzero(seen))
-    if not dof:
-        return "no landmark is sighted in two frames near each other"
-    correlation = np.sum([i.correlation for i in innovations], axis=0)
-    Q = float(np.sum(correlation[seen] ** 2 / pairs[seen]))
-    return _Test(
-        name="innovation whiteness",
-        kind="whiteness",
-        statistic=Q,
-        p=float(chdtrc(dof, Q)),
-        band=lambda level: (0.0, float(chdtri(dof, level))),
-    )
-
-
-def _rejections(
-    innovations: Sequence[Innovations], gate: float | None, outliers: bool
-) -> _Test | str:
-    """The share of refused sightings: Poisson, but that those of a frame may fall together."""
-    if gate is None:
-        return "no gate is on"
-    if outliers:
-        return "some sightings are wrong, so nobody knows how many should be refused"
-    tested = np.concatenate([i.tested for i in innovations])
-    rejected = np.concatenate([i.rejected for i in innovations])
-    n, k = int(tested.sum()), int(rejected.sum())
-    together = np.sum((rejected - k / n * tested) ** 2) / k if k else 1.0
-    together = max(1.0, float(together))
-    mean, count = (1 - gate) * n / together, k / together
-    p = 2 * min(float(gammaincc(count + 1, mean)), float(gammainc(count, mean)) if k else 1.0)
-
-    def band(level: float) -> tuple[float, float]:
-        low, high = pdtrik(np.array([level / 2, 1 - level / 2]), mean)
-        return float(np.nan_to_num(low)) * together / n, (float(high) + 1) * together / n
-
-    return _Test(name="gate rejections", kind="gate", statistic=k / n, p=min(1.0, p), band=band)
 
 
 def _reason(kind: Kind, high: bool, failed: set[Kind]) -> str:
