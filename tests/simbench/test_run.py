@@ -1,0 +1,87 @@
+"""The loop that drives a filter: its order, its clock, and what it does with a bad filter."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from simbench.errors import FilterFailure
+from simbench.run import run
+from simbench.sensors import simulate
+from tests.simbench.scenes import RICH, scene
+from vislam.filters import DeadReckoning
+
+DATASET = simulate(scene(RICH, duration_s=1.0))
+
+
+class Spy(DeadReckoning):
+    """Dead reckoning that notes its calls."""
+
+    def __init__(self, task):
+        super().__init__(task)
+        self.calls = []
+
+    def predict(self, motion, dt):
+        self.calls.append(("predict", motion.time_s, dt))
+        if self.motion == "twist":
+            super().predict(motion, dt)
+
+    def update(self, frame):
+        self.calls.append(("update", frame.time_s))
+
+    motion = "twist"
+
+
+class RawSpy(Spy):
+    motion = "imu"
+
+
+def calls_of(kind):
+    made = []
+    run(DATASET, lambda task: made.append(kind(task)) or made[0])
+    return made[0].calls
+
+
+def test_calls_come_in_time_order_and_each_sample_moves_to_the_next_frame():
+    calls, t = calls_of(Spy), DATASET.times_s
+    assert [call[0] for call in calls] == ["update", "predict"] * (len(t) - 1) + ["update"]
+    assert [call[1] for call in calls if call[0] == "update"] == t.tolist()
+    assert [call[2] for call in calls if call[0] == "predict"] == np.diff(t).tolist()
+
+
+def test_raw_samples_fill_each_interval_between_frames_without_gap():
+    calls, t = calls_of(RawSpy), DATASET.times_s
+    clock = t[0]
+    for call in calls:
+        assert call[1] == pytest.approx(clock, abs=1e-9)
+        clock += call[2] if call[0] == "predict" else 0
+    assert clock == pytest.approx(t[-1], abs=1e-9)
+    assert len(calls) > 5 * len(t)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"update": lambda _: 3}, "update 0 returned int: expected an Innovation or None"),
+        ({"belief": lambda: None}, "update 0 left NoneType"),
+        ({"finish": lambda: None}, "finish left NoneType"),
+        ({"predict": None}, "start gave what is no filter: SimpleNamespace has no method predict"),
+    ],
+)
+def test_a_filter_that_returns_what_it_must_not_is_named_with_the_call(changes, message):
+    def factory(task):
+        good = DeadReckoning(task)
+        methods = {"predict": good.predict, "update": good.update, "belief": good.belief}
+        return SimpleNamespace(**(methods | changes))
+
+    with pytest.raises(FilterFailure, match=message):
+        run(DATASET, factory)
+
+
+def test_a_pose_that_is_not_finite_is_named_with_the_call():
+    class Lost(DeadReckoning):
+        def predict(self, motion, dt):
+            super().predict(motion, dt * np.nan)
+
+    with pytest.raises(FilterFailure, match=r"update 1 left a pose|predict 0 raised"):
+        run(DATASET, Lost)
