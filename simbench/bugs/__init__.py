@@ -11,7 +11,7 @@ from functools import partial
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-from simbench.bugs.bug import CHECKS, NEGLIGIBLE, Bug, Trace
+from simbench.bugs.bug import CHECKS, Bug, Trace
 from simbench.bugs.catalogue import CATALOGUE
 from simbench.bugs.further import FURTHER
 from simbench.errors import InputError
@@ -19,7 +19,7 @@ from simbench.errors import InputError
 if TYPE_CHECKING:
     from vislam.filters import Factory
 
-__all__ = ["BUGS", "CHECKS", "NEGLIGIBLE", "Bug", "Trace", "mutant"]
+__all__ = ["BUGS", "CHECKS", "Bug", "Trace", "mutant"]
 
 #: Every bug by name.
 BUGS = MappingProxyType(CATALOGUE | FURTHER)

@@ -19,10 +19,6 @@ CHECKS = (
     "ate",
 )
 
-#: A covariance that is off by less, in parts of the two standard deviations, misleads nobody. The
-#: audit, being exact, still says so.
-NEGLIGIBLE = 1e-3
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Trace:
@@ -52,8 +48,7 @@ class Bug:
             in it.
         base: the filter on which the clean form passes the checks that must catch it.
         checks: those of `CHECKS` that must catch it; none of a control.
-        audit: what the audit names first, of a control by a `NEGLIGIBLE` deviation; None where it
-            is blind.
+        audit: what the audit names first; None where it is blind.
         blind: why the audit is blind.
     """
 

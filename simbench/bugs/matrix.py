@@ -1,8 +1,7 @@
 """What of the bench sees which bug: bug by check, measured.
 
 A check catches a bug where it finds something that it does not find in the bug's own base: that the
-standard filter leaks information along its null space is no merit of a bug. What is `NEGLIGIBLE` is
-seen, but not caught.
+standard filter leaks information along its null space is no merit of a bug.
 
 A column is a name of `CHECKS`. Those here hold without chance, or with a false alarm so rare that
 one run of the check tells; what needs many runs joins as columns of its own.
@@ -15,7 +14,7 @@ from typing import Any
 
 from joblib import Parallel, delayed
 
-from simbench.bugs import BUGS, NEGLIGIBLE
+from simbench.bugs import BUGS
 from simbench.checks.conformance import resolve as resolve_check
 from simbench.checks.result import CheckResult
 from simbench.filters import resolve
@@ -125,7 +124,5 @@ def _cell(
     for check in checks:
         found = bug[check]
         if found.failed and not base[check].failed:
-            value = found.statistic
-            caught = value is None or not abs(value) < NEGLIGIBLE
-            return Cell(caught=caught, statistic=value, reason=found.reason)
+            return Cell(caught=True, statistic=found.statistic, reason=found.reason)
     return Cell(caught=False, statistic=bug[checks[0]].statistic)

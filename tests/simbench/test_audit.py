@@ -132,6 +132,20 @@ def test_a_filter_that_raises_is_a_result():
     assert str(first) == "predict 0 raised ZeroDivisionError: no interval"
 
 
+def test_a_filter_that_claims_nothing_does_not_pass():
+    class Silent(EkfSlam):
+        def belief(self, joint=False):
+            belief = super().belief(joint and False)
+            nothing = np.empty((0, 3, 3))
+            return replace(belief, pose_covariance=None, landmark_covariances=nothing)
+
+        def finish(self):
+            return self.belief()
+
+    first = audit_drive(Silent, drive("births")).first
+    assert "nothing to audit" in str(first)
+
+
 def test_innovations_that_claim_too_much_are_found_where_the_state_is_right():
     class Boasting(EkfSlam):
         def update(self, frame) -> Innovation:
