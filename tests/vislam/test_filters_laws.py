@@ -123,6 +123,26 @@ def test_a_landmark_that_falls_behind_the_camera_is_refused():
     assert np.array_equal(slam.P, before)
 
 
+@pytest.mark.parametrize("factory", [Mapping.on_truth, EkfSlam])
+def test_a_landmark_of_wild_depth_beside_the_camera_does_no_harm(factory):
+    """Its Jacobian has no bound, so that a gate alone lets it pass and the covariance is lost."""
+    d = drive(np.ones((2, 3), bool), gate=0.999)
+    beside = np.array([[30.0, 1.0, 0.05]])  # metres in the camera, 5 cm before its plane
+    prior = replace(
+        d.task.prior,
+        ids=np.array([2]),
+        landmarks=se3.apply(d.T_world_imu[0] @ d.task.calibration.T_imu_cam, beside),
+        landmark_covariances=np.stack([200.0**2 * np.eye(3)]),
+    )
+    filter_ = factory(replace(d.task, prior=prior))
+    innovation = filter_.update(d.frames[0])
+    assert innovation.ids.tolist() == [2]
+    assert innovation.rejected == 1
+    filter_.predict(*d.twists[0])
+    filter_.update(replace(d.frames[1], last=np.zeros(3, bool)))
+    assert covariance_fault(filter_.belief(joint=True).joint_covariance) is None
+
+
 def test_retired_landmarks_leave_the_state_and_stay_in_the_final_map():
     seen = np.array([[1, 1, 0], [1, 1, 0], [0, 1, 1], [0, 0, 1]], bool)
     d = drive(seen)

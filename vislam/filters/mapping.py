@@ -113,11 +113,12 @@ class Mapping:
         _, H = model.observation_jacobians(calibration, T, self.landmarks[..., slots, :])
         H = self._whitening[:3] @ H
         P = self.P[..., slots, :, :]
-        L = np.linalg.cholesky(H @ P @ transposed(H) + np.eye(3))
+        S = H @ P @ transposed(H) + np.eye(3)
+        L = np.linalg.cholesky(S)
         white[..., :3] = np.linalg.solve(L, white[..., :3, None])[..., 0]
-        passed = np.ones(white.shape[:-1], bool)
+        passed = model.predictable(calibration, self.noise, S)
         if self.gate is not None:
-            passed = model.gate(np.square(white).sum(axis=-1), self.gate)
+            passed &= model.gate(np.square(white).sum(axis=-1), self.gate)
         white *= passed[..., None]
         Y_T = np.linalg.solve(L, H @ P) * passed[..., None, None]
         self.landmarks[..., slots, :] += (transposed(Y_T) @ white[..., :3, None])[..., 0]

@@ -117,6 +117,27 @@ def finite(residual: Array) -> BoolArray:
     return _in_all_runs(np.all(np.isfinite(residual), axis=-1))
 
 
+def predictable(calibration: Calibration, noise: Noise, S: Array) -> BoolArray:
+    """Which sightings are predicted better than by the width of the image.
+
+    A landmark of wild depth that comes near the plane of the camera has pixels of any value and a
+    Jacobian without bound: the update is no longer linear in anything, and a gate lets it pass.
+
+    Args:
+        calibration: told geometry.
+        noise: told noise.
+        S: innovation covariance of each sighting, whitened, shape (..., k, 3, 3).
+
+    Returns:
+        Shape (..., k).
+    """
+    rig = calibration.rig
+    width_px = 2 * rig.cx_px if rig.image_px is None else rig.image_px[0]
+    variance_px = np.einsum("...ii->...i", S) * np.square(noise.sigma_px[:3])
+    within: BoolArray = np.all(variance_px < width_px**2, axis=-1)
+    return within
+
+
 def gate(distance_squared: Array, probability: float) -> BoolArray:
     """Which sightings to accept, by squared Mahalanobis distance with 4 degrees of freedom."""
     return distance_squared <= gate_threshold(probability, SIGHTING_DOF)

@@ -49,12 +49,15 @@ class Observation:
         np.einsum("...ii->...i", S)[...] += 1
         return cls(slots=slots, H_pose=H_pose, H_map=H_map, r=r, HP=HP, S=S)
 
+    @property
+    def S_each(self) -> Array:
+        """The innovation covariance of each landmark's three rows alone, shape (..., k, 3, 3)."""
+        return diagonal_blocks(self.S)
+
     def distances(self) -> Array:
         """Squared Mahalanobis distance of each landmark's three rows alone, shape (..., k)."""
-        blocks = diagonal_blocks(self.S)
-        distances: Array = np.sum(
-            self.r * np.linalg.solve(blocks, self.r[..., None])[..., 0], axis=-1
-        )
+        solved = np.linalg.solve(self.S_each, self.r[..., None])[..., 0]
+        distances: Array = np.sum(self.r * solved, axis=-1)
         return distances
 
     def only(self, accepted: BoolArray) -> "Observation":

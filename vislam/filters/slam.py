@@ -203,9 +203,9 @@ class EkfSlam:
         observation = Observation.of(
             self.P, slots=slots, H_pose=rows @ H_pose, H_map=rows @ H_map, r=white[..., :3]
         )
-        passed = np.ones(white.shape[:-1], bool)
+        passed = model.predictable(calibration, self.noise, observation.S_each)
         if self.gate is not None:
-            passed = parts.gate(observation.distances() + white[..., 3] ** 2, self.gate)
+            passed &= parts.gate(observation.distances() + white[..., 3] ** 2, self.gate)
         correction = parts.correct(observation.only(passed))
         self._apply(correction)
         T, landmarks = x.T, x.landmarks
