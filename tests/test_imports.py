@@ -38,6 +38,7 @@ LAYERS = [
     "simbench.run",
     "simbench.metrics",
     "simbench.checks",
+    "simbench.bugs.power",
     "simbench.bugs.matrix",
     "simbench.mcap",
     "simbench.figures",
