@@ -197,8 +197,9 @@ class Innovation:
     Attributes:
         ids: known landmarks with a valid sighting, whose residual was tested, shape (k,).
         residual: measured minus predicted pixels, shape (..., k, 4).
-        whitened: zero where the gate refused, shape (..., k, 4).
-        accepted: what the gate let pass, shape (..., k).
+        whitened: zero where not accepted, shape (..., k, 4).
+        accepted: what was used, shape (..., k). The rest is predicted behind the camera, or too
+            vaguely to be linear, or was refused by the gate.
         born: ids that entered the map by this frame, shape (b,).
         skipped: ids of invalid features that were not all -1, shape (s,).
     """

@@ -10,12 +10,13 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from tests.vislam.drives import drive, feed_together
+from vislam.camera import StereoRig
 from vislam.filters import DeadReckoning, EkfSlam, Mapping, Parts
-from vislam.filters.model import constant_prior
+from vislam.filters.model import constant_prior, predictable, whitening
 from vislam.filters.observation import Observation
 from vislam.gaussian import NotPositiveDefinite, covariance_fault
 from vislam.lie import se3
-from vislam.types import Noise
+from vislam.types import Calibration, Noise, StereoFrame
 
 FILTERS = [DeadReckoning, Mapping, Mapping.on_truth, EkfSlam]
 schedules = arrays(bool, (6, 5))
@@ -231,3 +232,24 @@ def test_a_noise_that_is_none_is_refused():
 def test_what_is_no_covariance_is_told_why(P, fault):
     found = covariance_fault(P)
     assert found is None if fault is None else fault in found
+
+
+@pytest.mark.parametrize("cx_px", [0.0, 620.0])
+def test_a_rig_without_an_image_size_is_used_wherever_its_centre_lies(cx_px):
+    rig = StereoRig(fx_px=552, fy_px=540, cx_px=cx_px, cy_px=0, baseline_m=0.6)
+    calibration = Calibration(rig=rig, T_imu_cam=np.eye(4))
+    pixels = np.array([[cx_px + 10.0, 5.0, cx_px - 20.0, 5.0]])
+    frame = StereoFrame(time_s=0.0, ids=np.array([0]), pixels=pixels, last=np.array([False]))
+    task = replace(drive(np.ones((1, 1), bool)).task, calibration=calibration)
+    slam = EkfSlam(task)
+    slam.update(frame)
+    assert slam.update(frame).accepted.all()
+
+
+def test_a_sigma_of_the_prediction_is_in_pixels():
+    noise = Noise(process_model="twist", process=np.eye(6), sigma_px=np.array([0.7, 0.9, 1.2, 0.5]))
+    W = whitening(noise)[:3]
+    for sigma_px in (1241.0, 1243.0):  # of all coordinates at once; the image is 1242 wide
+        S = W @ (sigma_px**2 * np.ones((4, 4))) @ W.T
+        within = predictable(drive(np.ones((1, 1), bool)).task.calibration, noise, S[None])
+        assert within.tolist() == [sigma_px < 1242]

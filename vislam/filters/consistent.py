@@ -31,10 +31,11 @@ def transport(T: Array, landmarks: Array, T_next: Array, landmarks_next: Array) 
     The covariance of the update belongs to errors about the estimate before. With R, p, f before
     and R+, p+, f+ after, a rigid motion of the world keeps its direction in error coordinates where
 
-        theta' = R+^T R theta,  rho' = R+^T R rho + R+^T [p - p+]^ R theta,  f' = f + [f - f+]^ R
-        theta:
+        theta' = R+^T R theta
+        rho' = R+^T R rho + R+^T [p - p+]^ R theta
+        f' = f + [f - f+]^ R theta
 
-    the first two are Ad(T+^-1 T), as over a prediction.
+    The first two are Ad(T+^-1 T), as over a prediction.
     """
     M = np.zeros((*landmarks.shape, 6))
     M[..., 3:] = so3.hat(landmarks - landmarks_next) @ T[..., None, :3, :3]

@@ -14,7 +14,7 @@ from vislam.filters import model
 from vislam.filters.dead_reckoning import DeadReckoning
 from vislam.filters.records import diagonal_blocks
 from vislam.filters.roster import Retired, slots_of
-from vislam.gaussian import subtract_gram, transposed
+from vislam.gaussian import cholesky, solve_lower, subtract_gram, transposed
 from vislam.types import Belief, Innovation, StereoFrame, Task, Twist
 
 
@@ -114,13 +114,13 @@ class Mapping:
         H = self._whitening[:3] @ H
         P = self.P[..., slots, :, :]
         S = H @ P @ transposed(H) + np.eye(3)
-        L = np.linalg.cholesky(S)
-        white[..., :3] = np.linalg.solve(L, white[..., :3, None])[..., 0]
+        L = cholesky(S)
+        white[..., :3] = solve_lower(L, white[..., :3, None])[..., 0]
         passed = model.predictable(calibration, self.noise, S)
         if self.gate is not None:
             passed &= model.gate(np.square(white).sum(axis=-1), self.gate)
         white *= passed[..., None]
-        Y_T = np.linalg.solve(L, H @ P) * passed[..., None, None]
+        Y_T = solve_lower(L, H @ P) * passed[..., None, None]
         self.landmarks[..., slots, :] += (transposed(Y_T) @ white[..., :3, None])[..., 0]
         self.P[..., slots, :, :] = subtract_gram(P, Y_T)
 

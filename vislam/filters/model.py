@@ -126,14 +126,15 @@ def predictable(calibration: Calibration, noise: Noise, S: Array) -> BoolArray:
     Args:
         calibration: told geometry.
         noise: told noise.
-        S: innovation covariance of each sighting, whitened, shape (..., k, 3, 3).
+        S: innovation covariance of each sighting's three whitened rows, shape (..., k, 3, 3).
 
     Returns:
         Shape (..., k).
     """
     rig = calibration.rig
-    width_px = 2 * rig.cx_px if rig.image_px is None else rig.image_px[0]
-    variance_px = np.einsum("...ii->...i", S) * np.square(noise.sigma_px[:3])
+    width_px = 2 * rig.fx_px if rig.image_px is None else rig.image_px[0]
+    sigma_px = np.linalg.inv(whitening(noise))[[0, 1, 2], [0, 1, 2]]
+    variance_px = np.einsum("...ii->...i", S) * np.square(sigma_px)
     within: BoolArray = np.all(variance_px < width_px**2, axis=-1)
     return within
 
