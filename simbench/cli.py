@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from simbench.checks.defaults import FALSE_ALARM, MOST_SCALARS, RUNS
 from simbench.errors import FilterFailure, SimbenchError
 from vislam import __version__
 
@@ -43,14 +44,15 @@ class Gate(click.ParamType[float | str]):
 
 
 _POSITIVE = click.FloatRange(min=0, min_open=True)
+_SEED = click.IntRange(0, 2**63 - 1)
 _OUT = click.option(
     "--out", type=click.Path(path_type=Path), default=Path("out"), help="Where files go."
 )
 _JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON value alone.")
 _DEBUG = click.option("--debug", is_flag=True, expose_value=False, help="Show tracebacks.")
 _SCENE = (
-    click.option("--seed", type=click.IntRange(min=0), help="Default: the scene's own."),
-    click.option("--run", type=click.IntRange(min=0), help="Run number, default 0."),
+    click.option("--seed", type=_SEED, help="Default: the scene's own."),
+    click.option("--run", type=_SEED, help="Run number, default 0."),
     click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE", help="Change a value."),
 )
 _CONVENTION = (
@@ -150,21 +152,31 @@ def info(file: Path, as_json: bool, **told: Any) -> None:
 @cli.command()
 @click.option("--filter", "names", multiple=True, required=True, help="May be repeated.")
 @click.option("--scene", type=click.Path(path_type=Path), help="Default: the built-in scenes.")
-@click.option("--most-scalars", type=click.IntRange(min=16), default=2000, help="Of --scene.")
+@click.option(
+    "--most-scalars",
+    type=click.IntRange(min=16),
+    help=f"Of --scene, default {MOST_SCALARS}; 2000 take minutes.",
+)
 @_options(*_SCENE)
 def audit(
-    names: tuple[str, ...], scene: Path | None, most_scalars: int, as_json: bool, **told: Any
+    names: tuple[str, ...], scene: Path | None, most_scalars: int | None, as_json: bool, **told: Any
 ) -> int:
     """Audit a filter exactly: does it claim the covariance that its errors have?
 
     Prints the first call and block that deviate. Of a --scene, as many leading frames take part as
-    have at most --most-scalars numbers of noise.
+    have at most --most-scalars numbers of noise; it alone takes --seed, --run and --set.
     """
+    if scene is None:
+        _refuse_without_scene(most_scalars, told)
     from simbench.checks.audit import audit as audit_filter
     from simbench.checks.short_drive import ShortDrive
     from simbench.filters import resolve
 
-    drives = None if scene is None else (ShortDrive.of(_open(scene, told), most_scalars),)
+    drives = (
+        None
+        if scene is None
+        else (ShortDrive.of(_open(scene, told), most_scalars or MOST_SCALARS),)
+    )
     results = {name: audit_filter(resolve(name), drives) for name in names}
     if as_json:
         values = [{"filter": name, **result.as_json()} for name, result in results.items()]
@@ -180,7 +192,7 @@ def audit(
 @cli.command()
 @click.option("--filter", "name", required=True, help="A name, or package.module:factory.")
 @click.option("--check", default="audit", help="What it must pass, default: audit.")
-@click.option("--seed", type=click.IntRange(min=0), default=0, help="Of the search.")
+@click.option("--seed", type=_SEED, default=0, help="Of the search.")
 @click.option("--max-seconds", type=_POSITIVE, default=60.0, help="Then the smallest so far.")
 @_options(_OUT)
 def hunt(name: str, check: str, seed: int, max_seconds: float, out: Path, as_json: bool) -> int:
@@ -220,19 +232,28 @@ def hunt(name: str, check: str, seed: int, max_seconds: float, out: Path, as_jso
 
 @cli.command()
 @click.option("--matrix", "measure", is_flag=True, help="Measure which check catches which.")
+@click.option("--fast", is_flag=True, help="Only the checks of which one run tells.")
+@click.option("--runs", type=click.IntRange(min=100), help="Of the other checks, default 400.")
+@click.option("--out", type=click.Path(path_type=Path), help="Write bugs.png, a heat map.")
 @_options()
-def bugs(measure: bool, as_json: bool) -> int:
+def bugs(measure: bool, fast: bool, runs: int | None, out: Path | None, as_json: bool) -> int:
     """Say what mistakes there are to judge a bench by, and what must catch each.
 
     slam+NAME names a filter with the mistake in it, wherever a filter is named. With --matrix, x is
-    a check that catches a mistake, and ! one that should and does not, or that catches a control.
+    a check that catches a mistake, and ! one that should and does not, or that catches a control. A
+    check that needs many runs says how often 20 of them catch it (more runs give better figures),
+    the last column how many times the ATE is that of the filter without the mistake.
     """
     from simbench.bugs import BUGS
 
     if measure:
-        from simbench.bugs.matrix import matrix, missed, table
+        from simbench.bugs.matrix import RUNS, matrix, missed, table
 
-        found = matrix()
+        found = matrix(runs=0 if fast else runs or RUNS)
+        if out is not None:
+            from simbench import figures
+
+            figures.save(figures.bugs(found), out / "bugs.png")
         if as_json:
             _print_json(
                 {n: {c: cell.as_json() for c, cell in row.items()} for n, row in found.items()}
@@ -255,12 +276,12 @@ def bugs(measure: bool, as_json: bool) -> int:
 @cli.command()
 @click.argument("scenario", type=click.Path(path_type=Path))
 @click.option("--filter", "names", multiple=True, required=True, help="May be repeated.")
-@click.option("--runs", type=click.IntRange(min=1), default=20, help="Default: 20.")
+@click.option("--runs", type=click.IntRange(min=1), default=RUNS, help=f"Default: {RUNS}.")
 @click.option(
     "--false-alarm",
     type=click.FloatRange(0, 1, min_open=True, max_open=True),
-    default=0.01,
-    help="Of the whole verdict, default 0.01.",
+    default=FALSE_ALARM,
+    help=f"Of the whole verdict, default {FALSE_ALARM}.",
 )
 @click.option("--jobs", type=click.IntRange(min=1), help="Processes, default: all cores.")
 @_options(_SCENE[0], _SCENE[2])
@@ -276,8 +297,9 @@ def check(
 ) -> int:
     """Judge a filter in a scene by all instruments: exact audit, then many runs at its noise.
 
-    Every check is two-sided and corrected for their number. A failed one says what its failure
-    usually means, and the conclusion what they mean together.
+    Every check by chance is corrected for their number, and two-sided except for whiteness, where
+    only too much counts. A failed check says what its failure usually means, and the conclusion
+    what they mean together.
     """
     from simbench.checks.verdict import check as judge
     from simbench.scenario import load
@@ -307,9 +329,9 @@ LISTS = ("filters", "checks", "trajectories", "landmarks", "bugs", "schema")
 def list_(what: str, as_json: bool) -> None:
     """Say what there is, a line each; schema is the JSON schema of a scene file."""
     if what == "schema":
-        from simbench.scenario import Scenario
+        from simbench.scenario import schema
 
-        _print_json(Scenario.json_schema())
+        click.echo(schema.text(), nl=False)
         return
     table = _table(what)
     if as_json:
@@ -336,6 +358,21 @@ def _table(what: str) -> Mapping[str, str]:
     from simbench.scenario import LANDMARKS, TRAJECTORIES
 
     return TRAJECTORIES if what == "trajectories" else LANDMARKS
+
+
+def _refuse_without_scene(most_scalars: int | None, told: Mapping[str, Any]) -> None:
+    """Refuse options of an audit that would be silently without effect."""
+    options = {
+        "--most-scalars": most_scalars,
+        "--seed": told["seed"],
+        "--run": told["run"],
+        "--set": told["overrides"] or None,
+    }
+    for option, value in options.items():
+        if value is not None:
+            raise click.UsageError(
+                f"{option} goes with --scene; without one the built-in scenes are audited."
+            )
 
 
 def _open(path: Path, told: Mapping[str, Any]) -> "Dataset":

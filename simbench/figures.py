@@ -14,7 +14,10 @@ import matplotlib.style
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
 
+from simbench.bugs import BUGS
+from simbench.bugs.matrix import Cell, Matrix, mark
 from simbench.errors import InputError, OutputError
 from simbench.files import replacing
 from simbench.metrics import ate, chi_square_band, nis, pose_nees, rmse
@@ -261,6 +264,49 @@ def _legend(figure: Figure) -> None:
     )
     for line in legend.get_lines():
         line.set_markersize(max(line.get_markersize(), 3.5))
+
+
+@_styled
+def bugs(found: Matrix) -> Figure:
+    """Which check catches which bug: the darker, the more reliably; framed where it must.
+
+    A tick is a check of which one run tells. A number is the power at 20 runs, where that is more
+    than false alarms, and in the last column how many times its base's ATE a bug has.
+    """
+    if not found:
+        raise InputError("Expected at least one bug to draw, got none.")
+    rows, columns = list(found), list(next(iter(found.values())))
+    shade = np.array([[_certainty(found[row][c]) for c in columns] for row in rows])
+    figure = Figure(figsize=(TEXT_WIDTH_IN, 0.17 * len(rows) + 1.1), layout="constrained")
+    ax = figure.subplots()
+    ax.imshow(shade, cmap="Greys", vmin=0, vmax=1.4, aspect="auto")
+    for (y, x), dark in np.ndenumerate(shade):
+        sign, color = mark(found[rows[y]][columns[x]]), "w" if dark > 0.7 else "k"
+        text = {".": "", "x": "\N{CHECK MARK}"}.get(sign, sign)
+        ax.text(x, y, text, ha="center", va="center", color=color, fontsize=6.5)
+        if columns[x] in BUGS[rows[y]].checks:
+            frame = Rectangle((x - 0.46, y - 0.42), 0.92, 0.84, fill=False, linewidth=1.0)
+            frame.set_edgecolor(VERMILLION)
+            ax.add_patch(frame)
+    ax.set_xticks(range(len(columns)), [*columns[:-1], columns[-1].replace("ate", "ATE ratio")])
+    ax.tick_params(axis="x", rotation=40, top=True, labeltop=True, bottom=False, labelbottom=False)
+    for label in ax.get_xticklabels():
+        label.set(ha="left", rotation_mode="anchor")
+    ax.set_yticks(range(len(rows)), rows)
+    ax.tick_params(length=0)
+    ax.grid(visible=False)
+    ax.set_xticks(np.arange(0.5, len(columns) - 1), minor=True)
+    ax.set_yticks(np.arange(0.5, len(rows) - 1), minor=True)
+    ax.grid(which="minor", color="#E8E8E8", linewidth=0.5)
+    ax.tick_params(which="minor", length=0)
+    return figure
+
+
+def _certainty(cell: Cell) -> float:
+    """How reliably a check catches a bug, 0 to 1; the ATE judges nothing."""
+    if cell.ratio is not None:
+        return 0.0
+    return cell.powers[-1].value if cell.powers else float(cell.caught)
 
 
 def _times(record: RunRecord) -> Array:

@@ -15,6 +15,7 @@ CHECKS = (
     "nis",
     "whiteness",
     "nis-vs-dt",
+    "raises",
     "gate-rate",
     "ate",
 )

@@ -24,10 +24,10 @@ from simbench.checks.montecarlo import (
 )
 from simbench.checks.nulls import Kind, statistics
 from simbench.checks.short_drive import ShortDrive
+from simbench.driving import Watch
 from simbench.errors import FilterFailure, InputError
 from simbench.metrics import nees
 from simbench.rng import stream
-from simbench.run import Watch
 from simbench.scenario import loads
 from simbench.sensors import simulate
 from vislam.arrays import Array, IntArray
@@ -79,11 +79,11 @@ rig:
   depth_m: [1.0, 8.0]
   imu_cam: {translation_m: [1.1, -0.3, 0.7], rotvec_deg: [4.0, -6.0, 3.0]}
 imu:
-  velocity: {sigma: [0.04, 0.08, 0.12]}
+  velocity: {sigma: [0.03, 0.06, 0.09]}
   angular_velocity: {sigma: [0.002, 0.003, 0.005]}
 landmarks: {kind: path, count: 14, lateral_m: [0.3, 2.0], height_m: [-0.5, 0.8], ahead_m: 16}
 camera: {sigma_px: [0.3, 0.5, 0.4, 0.2], dropout: 0.25, half_missing: 0.25}
-filter: {process_noise: twist-density, gate: 0.999}
+filter: {process_noise: twist, gate: 0.999}
 prior: {sigma_translation_m: 0.01, sigma_rotation_deg: 0.1}
 """,
     where="scene power",
@@ -171,7 +171,7 @@ def p_values(runs: Sequence[RunSummary]) -> dict[str, float]:
     A filter that raises fails `raises`; the other checks are of the runs that came to the end.
     """
     whole = [run for run in runs if run.failure is None]
-    found = statistics(whole, drive().task.gate, outliers=False)
+    found = statistics(whole, drive().dataset.gate, outliers=False)
     tests = [test for _, test in found if not isinstance(test, str)]
     by_check = {check: [t.p for t in tests if t.kind in kinds] for check, kinds in KINDS.items()}
     ps = {check: len(p) * min(p) for check, p in by_check.items() if p}
@@ -181,20 +181,18 @@ def p_values(runs: Sequence[RunSummary]) -> dict[str, float]:
 def ate_ratio(runs: Sequence[RunSummary], base: Sequence[RunSummary]) -> Ratio | None:
     """The ATE of each run over that of another filter on the same data; None where none is whole.
 
-    Source of the interval of a median: the order statistics that a sign test keeps.
+    The interval of the median is that of the sign test: between two order statistics.
     """
-    pairs = zip(map(_ate_m, runs), map(_ate_m, base), strict=True)
-    ratios = np.sort([a / b for a, b in pairs if a is not None and b])
-    n = len(ratios)
-    if not n:
+    ates = (
+        (a.figures.get("ate_rmse_m"), b.figures.get("ate_rmse_m"))
+        for a, b in zip(runs, base, strict=True)
+    )
+    ratios = np.sort([a / b for a, b in ates if a is not None and b])
+    if not len(ratios):
         return None
-    k = max(int(np.nan_to_num(bdtrik((1 - CONFIDENCE) / 2, n, 0.5))), 0)
-    low, high = ratios[k], ratios[n - 1 - k]
+    k = int(max(np.nan_to_num(bdtrik((1 - CONFIDENCE) / 2, len(ratios), 0.5)), 0))
+    low, high = ratios[k], ratios[-1 - k]
     return Ratio(median=float(np.median(ratios)), low=float(low), high=float(high))
-
-
-def _ate_m(run: RunSummary) -> float | None:
-    return run.figures.get("ate_rmse_m")
 
 
 @cache
