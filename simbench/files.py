@@ -1,6 +1,7 @@
 """Files: read with errors that name the line, written so that none is ever seen half-written."""
 
 import os
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -74,6 +75,11 @@ def format_rows(rows: Array) -> str:
     return "".join(" ".join(map(repr, row)) + "\n" for row in rows.tolist())
 
 
+def file_safe(name: str) -> str:
+    """A name as a part of a file's name: runs of other characters become an underscore."""
+    return re.sub(r"[^\w.+-]+", "_", name)
+
+
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
     """Give a temporary path to write to, and put it in place of `path` once the block succeeded.
@@ -91,8 +97,8 @@ def replacing(path: Path) -> Iterator[Path]:
         os.replace(partial, path)
     except OSError as error:
         raise OutputError(
-            f"Cannot write {path}: {error.strerror or error}. Free space or choose another --out; "
-            "earlier files are untouched."
+            f"Cannot write {path}: {error.strerror or error}. Choose another directory or free "
+            "space; earlier files are untouched."
         ) from error
     finally:
         with suppress(OSError):

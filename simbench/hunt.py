@@ -7,7 +7,6 @@ code that is loaded.) A hunt takes checks without chance: under a statistical on
 """
 
 import random
-import re
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -23,9 +22,10 @@ from hypothesis.errors import NoSuchExample
 from simbench.bugs import BUGS
 from simbench.checks import conformance
 from simbench.checks.audit import audit_drive
+from simbench.checks.defaults import MOST_SCALARS
 from simbench.checks.short_drive import ShortDrive
 from simbench.errors import InputError
-from simbench.files import replacing
+from simbench.files import file_safe, replacing
 from simbench.filters import resolve
 from simbench.mcap import write_dataset_mcap
 from simbench.scenario import Scenario, load
@@ -39,8 +39,6 @@ Judge: TypeAlias = Callable[[Factory, ShortDrive], str | None]
 
 MOST_FRAMES = 6
 MOST_LANDMARKS = 6
-#: As many as `simbench audit --scene` takes; the largest scene has 192.
-MOST_SCALARS = 2000
 #: Scenes drawn before a filter is let go.
 MOST_DRAWN = 200
 
@@ -199,7 +197,7 @@ def clean_of(name: str) -> Factory | None:
 
 @contextmanager
 def nothing_left_behind() -> Iterator[None]:
-    """Have hypothesis make its directory of notes, by default one in the working directory, away.
+    """Keep hypothesis's scratch directory out of the working directory.
 
     For a process that is all simbench's own: it overrules a directory that was set before.
     """
@@ -220,7 +218,7 @@ def write(found: Found, name: str, check: str, out: Path) -> tuple[Path, Path]:
         check: its name.
         out: the directory.
     """
-    stem = re.sub(r"[^\w.+-]+", "_", f"hunt-{check}-{name}")[:80]
+    stem = file_safe(f"hunt-{check}-{name}")[:80]
     about = f"{name} fails the {check} here: {found.reason}"
     scenario = found.scenario.model_copy(update={"name": stem, "about": about})
     path, recording = out / f"{stem}.yaml", out / f"{stem}.mcap"

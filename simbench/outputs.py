@@ -1,13 +1,12 @@
 """The files that the verbs leave: which there are, and what they are called."""
 
 import json
-import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from simbench.dataset import Dataset
-from simbench.files import replacing
+from simbench.files import file_safe, replacing
 from simbench.metrics import metrics
 from simbench.run import RunRecord, Step, run
 from vislam.filters import Factory
@@ -48,7 +47,7 @@ def record_run(
     from simbench.tum import write_tum
 
     def path(suffix: str) -> Path:
-        return out / f"{dataset.name}.{_safe(name)}{suffix}"
+        return out / f"{dataset.name}.{file_safe(name)}{suffix}"
 
     with record_to(path(".mcap"), dataset, name) as recorder:
 
@@ -83,8 +82,3 @@ def write_json(path: Path, value: Mapping[str, Any]) -> None:
     """Write one JSON value, in one piece."""
     with replacing(path) as partial:
         partial.write_text(json.dumps(value, indent=2, allow_nan=False) + "\n", encoding="utf-8")
-
-
-def _safe(name: str) -> str:
-    """A filter's name as a part of a file's name."""
-    return re.sub(r"[^\w.+-]+", "_", name)

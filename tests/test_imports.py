@@ -156,10 +156,6 @@ def test_order_of_imports_is_really_held(tmp_path, module, line, fault):
         assert fault in message
 
 
-needs_cli = pytest.mark.skipif(
-    not (ROOT / "simbench/cli.py").exists() and not (ROOT / "simbench/cli").exists(),
-    reason="simbench.cli does not exist yet",
-)
 ANSWERS = [
     ["--help"],
     *(
@@ -188,7 +184,6 @@ def answer(arguments: list[str]) -> list[str]:
     return done.stderr.splitlines()[-1].split()
 
 
-@needs_cli
 @pytest.mark.parametrize("arguments", ANSWERS, ids=" ".join)
 def test_answer_loads_nothing_slow(arguments):
     _, *loaded = answer(arguments)
@@ -196,7 +191,6 @@ def test_answer_loads_nothing_slow(arguments):
     assert not SLOW_IMPORTS & set(loaded)
 
 
-@needs_cli
 @pytest.mark.parametrize("arguments", ANSWERS, ids=" ".join)
 def test_answer_takes_less_than_300_ms_of_cpu(arguments):
     assert min(float(answer(arguments)[0]) for _ in range(3)) < 0.3

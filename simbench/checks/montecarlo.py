@@ -214,7 +214,7 @@ def _chi_square(pairs: Iterable[tuple[float, int]]) -> ChiSquare:
 
 
 def _landmark_nees(record: RunRecord) -> ChiSquare:
-    """NEES of one landmark of each age class, any of the run's with equal chances."""
+    """NEES of one landmark of each age class, of one row of the run's beliefs, all alike likely."""
     frames = np.repeat(range(len(record.steps)), [len(s.belief.ids) for s in record.steps])
     ids = np.concatenate([step.belief.ids for step in record.steps])
     _, first, which = np.unique(ids, return_index=True, return_inverse=True)

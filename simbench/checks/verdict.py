@@ -1,8 +1,9 @@
 """One verdict from all instruments: is the code right, and does the method hold in this scene?
 
-Every statistic of the Monte Carlo has a known null distribution (`simbench.checks.nulls`), is
-judged from both sides, and its p-value is corrected by Holm's method, so that a right filter fails
-anywhere in the table with the stated probability at the most. The audit and the laws of
+Every statistic of the Monte Carlo has a known null distribution (`simbench.checks.nulls`) and is
+judged from both sides, but for the Ljung-Box statistic, which only grows where innovations are not
+white. P-values are corrected by Holm's method, so that a right filter fails anywhere in the table
+with the stated probability at the most. The audit and the laws of
 `simbench.checks.conformance` have no chance in them.
 
 Source: Holm, A simple sequentially rejective multiple test procedure, Scand. J. Statist. 6, 1979.
@@ -17,6 +18,7 @@ import numpy as np
 from simbench.checks.audit import audit, audit_drive
 from simbench.checks.conformance import CHECKS
 from simbench.checks.conformance import resolve as resolve_check
+from simbench.checks.defaults import FALSE_ALARM, RUNS
 from simbench.checks.findings import AuditResult, SceneAudit
 from simbench.checks.montecarlo import RunSummary, monte_carlo
 from simbench.checks.nulls import Kind, Statistic, statistics
@@ -29,8 +31,6 @@ from simbench.sensors import simulate
 from vislam.arrays import Array
 from vislam.filters import Factory
 
-RUNS = 20
-FALSE_ALARM = 0.01
 #: Of noise, in the leading frames of a scene that are audited.
 MOST_SCALARS = 256
 AUDIT, HERE = "exact-audit", "exact-audit of this scene"

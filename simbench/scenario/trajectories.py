@@ -140,7 +140,7 @@ class Waypoints(Motion):
     @field_validator("times_s")
     @classmethod
     def _increasing_from_zero(cls, value: tuple[float, ...] | None) -> tuple[float, ...] | None:
-        if value and value[0] > 0:
+        if value and value[0] != 0:
             raise fault("expected the first time to be 0, got {got}", got=value[0])
         for before, after in zip(value or (), (value or ())[1:], strict=False):
             if not before < after:

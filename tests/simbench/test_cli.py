@@ -317,6 +317,8 @@ def test_a_directory_or_a_device_is_no_source(here, verb, capsys):
         (["--gate", "0"], "expected a probability"),
         (["--gate", "nan"], "expected a probability"),
         (["--seed", "-1"], "--seed"),
+        (["--seed", str(2**63)], "--seed"),
+        (["--run", str(2**63)], "--run"),
         (["--set", "camera.sigma=1"], "--set camera.sigma=1: camera.sigma: unknown key"),
         (["--set", "kamera.sigma_px=1"], "--set kamera.sigma_px=1: kamera: unknown key"),
         (["--set", "camera"], "expected key.path=value"),
@@ -329,6 +331,20 @@ def test_a_directory_or_a_device_is_no_source(here, verb, capsys):
 def test_an_option_that_makes_no_sense_is_refused(here, options, message, capsys):
     assert message in refusal(capsys, "run", "small.yaml", *options)
     assert written(here / "out") == []
+
+
+@pytest.mark.parametrize(
+    "options",
+    [["--seed", "1"], ["--run", "0"], ["--set", "duration_s=1"], ["--most-scalars", "100"]],
+    ids=lambda options: options[0],
+)
+def test_an_audit_of_the_built_in_scenes_takes_no_options_of_a_scene(options, capsys):
+    said = refusal(capsys, "audit", "--filter", "slam", *options)
+    assert f"{options[0]} goes with --scene" in said
+
+
+def test_a_search_takes_no_seed_beyond_what_a_scene_may_have(capsys):
+    assert "--seed" in refusal(capsys, "hunt", "--filter", "slam", "--seed", str(2**63))
 
 
 @pytest.mark.parametrize("option", [["--seed", "1"], ["--run", "1"], ["--set", "seed=1"]])

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from simbench import scenario
 from simbench.errors import ScenarioError
-from simbench.scenario import Scenario, load, loads
+from simbench.scenario import Scenario, load, loads, schema
 from simbench.scenario.landmarks import LandmarkKind
 from simbench.scenario.trajectories import TrajectoryKind
 
@@ -258,6 +258,10 @@ def test_all_faults_are_told_at_once_each_with_line_and_key():
             "trajectory.times_s: expected the first time to be 0, got 1.0",
         ),
         (
+            f"trajectory: {{kind: waypoints, {WAYPOINTS}, times_s: [-5, 2, 3]}}",
+            "trajectory.times_s: expected the first time to be 0, got -5.0",
+        ),
+        (
             f"trajectory: {{kind: waypoints, {WAYPOINTS}, times_s: [0, 2]}}",
             "trajectory.times_s: expected one for each of the 3 points, got 2",
         ),
@@ -407,13 +411,17 @@ def test_a_scene_cannot_be_changed():
         Scenario().rig.fx_px = 3
 
 
+def test_the_schema_on_file_is_that_of_the_models():
+    assert schema.text() == schema.generated(), "write it: python -m simbench.scenario.schema"
+
+
 def test_the_schema_knows_every_section_and_kind():
-    schema = json.loads(json.dumps(Scenario.json_schema()))
-    assert set(schema["properties"]) == set(Scenario.model_fields)
-    assert set(schema["properties"]["trajectory"]["discriminator"]["mapping"]) == set(
+    described = json.loads(json.dumps(Scenario.json_schema()))
+    assert set(described["properties"]) == set(Scenario.model_fields)
+    assert set(described["properties"]["trajectory"]["discriminator"]["mapping"]) == set(
         scenario.TRAJECTORIES
     )
-    assert set(schema["properties"]["landmarks"]["discriminator"]["mapping"]) == set(
+    assert set(described["properties"]["landmarks"]["discriminator"]["mapping"]) == set(
         scenario.LANDMARKS
     )
 
