@@ -1,6 +1,5 @@
 """Says what a file is: sizes, rates, statistics, the convention found, what is wrong with it."""
 
-from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -9,7 +8,7 @@ import numpy as np
 
 from simbench.dataset import Dataset
 from simbench.metrics import path_length
-from simbench.source import NOTHING, Kind, Told, kind_of, open_source
+from simbench.source import NOTHING, Kind, Told, kind_of, open_source, refuse_misplaced
 from vislam.arrays import Array
 from vislam.camera import Validity, triangulate, validity
 from vislam.filters.model import moved
@@ -19,15 +18,18 @@ def info(path: Path, told: Told = NOTHING) -> dict[str, Any]:
     """Describe a scene, a dataset, a recording or a trajectory.
 
     Returns:
-        JSON-safe values; `kind`, `conventions` and `problems` are always there.
+        JSON-safe values; `kind`, `conventions`, `clear`, `notes` and `problems` are always there.
+        `clear` is whether the data tell the chosen convention from every other, None where there is
+        none to choose.
 
     Raises:
-        InputError: the file is not usable.
+        InputError: the file is not usable, or what is told does not go with its kind.
     """
     kind = kind_of(path)
     if kind is Kind.TRAJECTORY:
         from simbench.tum import read_tum
 
+        refuse_misplaced(path, kind, told)
         times_s, T_world_imu = read_tum(path)
         return {
             "kind": kind.value,
@@ -35,6 +37,8 @@ def info(path: Path, told: Told = NOTHING) -> dict[str, Any]:
             **_times(times_s),
             "path_length_m": path_length(T_world_imu),
             "conventions": [],
+            "clear": None,
+            "notes": [],
             "problems": [],
         }
     described: dict[str, Any] = {"kind": kind.value}
@@ -49,7 +53,7 @@ def info(path: Path, told: Told = NOTHING) -> dict[str, Any]:
     dataset = open_source(path, told)
     described |= describe(dataset)
     if kind is Kind.DATASET and dataset.sightings is not None:
-        described["conventions"] = _conventions(path)
+        described |= _convention(path, told)
     return described
 
 
@@ -61,23 +65,28 @@ def describe(dataset: Dataset) -> dict[str, Any]:
         "landmarks": dataset.landmark_count,
         "sightings": 0 if dataset.sightings is None else len(dataset.sightings),
         **_times(dataset.times_s),
-        "path_length_m": path_length(_dead_reckoned(dataset)),
+        "path_length_m": path_length(_poses(dataset)),
         "raw_imu_samples": 0 if dataset.imu is None else len(dataset.imu.times_s),
         "truth": dataset.truth is not None,
         "told": _told(dataset),
         "statistics": _statistics(dataset),
         "conventions": [],
+        "clear": None,
+        "notes": list(dataset.notes),
         "problems": _problems(dataset),
     }
 
 
-def _times(times_s: Array) -> dict[str, float]:
+def _times(times_s: Array) -> dict[str, float | None]:
     duration_s = float(times_s[-1] - times_s[0])
-    return {"duration_s": duration_s, "rate_hz": (len(times_s) - 1) / duration_s}
+    rate_hz = (len(times_s) - 1) / duration_s if duration_s else None
+    return {"duration_s": duration_s, "rate_hz": rate_hz}
 
 
-def _dead_reckoned(dataset: Dataset) -> Array:
-    """The poses that the twists alone give, for the length of the path."""
+def _poses(dataset: Dataset) -> Array:
+    """The true poses, or where nobody knows them those that the twists alone give."""
+    if dataset.truth is not None:
+        return dataset.truth.T_world_imu
     poses = [np.eye(4)]
     for i, dt in enumerate(np.diff(dataset.times_s)):
         poses.append(moved(poses[-1], dataset.twist(i), float(dt)))
@@ -149,12 +158,12 @@ def _problems(dataset: Dataset) -> list[str]:
     return problems
 
 
-def _conventions(path: Path) -> list[Mapping[str, Any]]:
-    """Each candidate reading of the extrinsics with its median pixel error."""
+def _convention(path: Path, told: Told) -> dict[str, Any]:
+    """Each candidate reading of the extrinsics with its median pixel error, and how clear it is."""
     from simbench.npz import read_convention
 
-    convention = read_convention(path)
-    return [
+    convention = read_convention(path, imu_frame=told.imu_frame, extrinsics=told.extrinsics)
+    conventions = [
         {
             "name": reading.name,
             "median_px": None if np.isnan(reading.error_px) else reading.error_px,
@@ -162,3 +171,4 @@ def _conventions(path: Path) -> list[Mapping[str, Any]]:
         }
         for reading in convention.readings
     ]
+    return {"conventions": conventions, "clear": convention.clear}

@@ -76,7 +76,7 @@ def open_source(path: Path, told: Told = NOTHING) -> Dataset:
         InputError: the file is not usable, or an option does not go with its kind.
     """
     kind = kind_of(path)
-    _refuse_misplaced(path, kind, told)
+    refuse_misplaced(path, kind, told)
     dataset = _open(path, kind, told)
     if told.gate is None:
         return dataset
@@ -110,8 +110,12 @@ def _open(path: Path, kind: Kind, told: Told) -> Dataset:
     )
 
 
-def _refuse_misplaced(path: Path, kind: Kind, told: Told) -> None:
-    """Refuse options that would be silently without effect."""
+def refuse_misplaced(path: Path, kind: Kind, told: Told) -> None:
+    """Refuse options that would be silently without effect.
+
+    Raises:
+        InputError: one was given that does not go with the kind.
+    """
     of_kind: dict[Kind, dict[str, object]] = {
         Kind.SCENARIO: {"--seed": told.seed, "--run": told.run, "--set": told.overrides or None},
         Kind.DATASET: {

@@ -68,13 +68,20 @@ def read_npz(
     )
 
 
-def read_convention(path: Path) -> Convention:
+def read_convention(
+    path: Path, *, imu_frame: ImuFrame | None = None, extrinsics: Extrinsics | None = None
+) -> Convention:
     """Every reading of a file's extrinsics with its error, and the one that `read_npz` chooses.
+
+    Args:
+        path: the file.
+        imu_frame: leaves only the readings with this IMU frame, as in `read_npz`.
+        extrinsics: leaves only the readings of these extrinsics.
 
     Raises:
         DatasetError: the file is no usable dataset.
     """
-    return _convention(check(path))
+    return _convention(check(path), imu_frame, extrinsics)
 
 
 def _convention(

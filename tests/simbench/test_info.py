@@ -1,13 +1,18 @@
 """What is said of a file."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from simbench.dataset import Sightings
+from simbench.errors import InputError
 from simbench.info import describe, info
+from simbench.npz import write_npz
 from simbench.outputs import write_dataset
-from simbench.source import Kind, open_source
+from simbench.source import Kind, Told, open_source
 from simbench.tum import write_tum
 
 SCENE = """
@@ -84,3 +89,58 @@ def test_a_real_file_without_features_says_so():
     described = info(path)
     assert described["conventions"] == []
     assert "no features" in described["problems"][0]
+
+
+def test_a_single_pose_or_frame_has_no_rate(files, tmp_path):
+    (tmp_path / "one.tum").write_text("0 0 0 0 0 0 0 1\n")
+    assert info(tmp_path / "one.tum")["rate_hz"] is None
+    many = open_source(files[Kind.DATASET])
+    one = replace(
+        many,
+        times_s=many.times_s[:1],
+        linear_velocity=many.linear_velocity[:1],
+        angular_velocity=many.angular_velocity[:1],
+        sightings=Sightings.from_frames([(many.frame(0).ids, many.frame(0).pixels)]),
+        truth=None,
+        imu=None,
+    )
+    write_npz(tmp_path / "one.npz", one)
+    described = info(tmp_path / "one.npz")
+    assert (described["frames"], described["duration_s"], described["rate_hz"]) == (1, 0, None)
+
+
+@pytest.mark.parametrize(
+    ("told", "count"),
+    [
+        ({"imu_frame": "frd"}, 3),
+        ({"extrinsics": "cam_T_imu"}, 2),
+        ({"imu_frame": "frd", "extrinsics": "mixed"}, 1),
+    ],
+)
+def test_of_the_readings_that_were_asked_for_that_of_the_data_is_chosen(files, told, count):
+    described = info(files[Kind.DATASET], Told(**told))
+    assert len(described["conventions"]) == count
+    (chosen,) = [c["name"] for c in described["conventions"] if c["chosen"]]
+    assert set(told.values()) <= set(chosen.split("/"))
+    assert any(f"are read as {chosen}" in note for note in described["notes"])
+
+
+def test_whether_the_convention_is_clear_is_said_only_where_there_is_one(files):
+    clear = {kind: info(files[kind])["clear"] for kind in Kind}
+    assert clear == dict.fromkeys(Kind) | {Kind.DATASET: True}
+
+
+def test_a_trajectory_has_no_convention_to_overrule(files):
+    with pytest.raises(
+        InputError, match=r"--imu-frame goes with a dataset, but .* is a trajectory"
+    ):
+        info(files[Kind.TRAJECTORY], Told(imu_frame="flu"))
+
+
+def test_the_path_is_as_long_as_the_true_one_where_that_is_known(files):
+    dataset = open_source(files[Kind.SCENARIO])
+    true = np.linalg.norm(np.diff(dataset.truth.T_world_imu[:, :3, 3], axis=0), axis=1).sum()
+    assert describe(dataset)["path_length_m"] == pytest.approx(true, rel=1e-12)
+    untold = describe(replace(dataset, truth=None))["path_length_m"]
+    assert untold == pytest.approx(true, rel=0.5)
+    assert untold != pytest.approx(true, rel=1e-6)
