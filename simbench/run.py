@@ -1,22 +1,18 @@
 """Drives a filter over a dataset, in time order, and records what it held true at every frame."""
 
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from simbench.dataset import Dataset
+from simbench.driving import Driven, Input
 from simbench.errors import FilterFailure
 from simbench.rng import stream
 from vislam.arrays import Array
-from vislam.filters.protocol import Factory, Filter, Finishing
+from vislam.filters.protocol import Factory
 from vislam.types import Belief, ImuSample, Innovation, Task, Twist
-
-P = ParamSpec("P")
-R = TypeVar("R")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -109,76 +105,31 @@ def run(
 
     Raises:
         FilterFailure: the filter raised, is none, or returned what it must not: a pose that is not
-            finite or not of shape (4, 4), say.
+            finite, say, or fewer landmarks than ids.
     """
     with threadpool_limits(limits=1, user_api="blas"):
-        watch = Watch()
-        filter_ = _started(watch, factory, dataset)
-        predict: Callable[[Any, float], None] = filter_.predict
-        raw = getattr(filter_, "motion", "twist") == "imu"
+        filter_ = Driven(factory, task_of(dataset))
         steps = []
-        for i in range(len(dataset)):
-            call = f"update {i}"
-            innovation = watch(call, filter_.update, dataset.frame(i))
-            if not isinstance(innovation, Innovation | None):
-                kind = type(innovation).__name__
-                raise FilterFailure(call, f"returned {kind}: expected an Innovation or None")
-            belief = _checked(call, watch(call, filter_.belief))
-            step = Step(frame=i, belief=belief, innovation=innovation)
-            steps.append(step)
-            on_step(step)
-            if i + 1 < len(dataset):
-                for motion, dt in _motions(dataset, i, raw):
-                    watch(f"predict {i}", predict, motion, dt)
-        final = steps[-1].belief
-        if isinstance(filter_, Finishing):
-            final = _checked("finish", watch("finish", filter_.finish))
+        for done in filter_.feed(_inputs(dataset, filter_.raw)):
+            if done.taken:
+                belief = filter_.belief(done.name)
+                steps.append(Step(frame=done.frame, belief=belief, innovation=done.innovation))
+                on_step(steps[-1])
+        final = filter_.finish()
         return RunRecord(
-            dataset=dataset, filter=name, steps=tuple(steps), final=final, wall_s=watch.total_s
+            dataset=dataset,
+            filter=name,
+            steps=tuple(steps),
+            final=steps[-1].belief if final is None else final,
+            wall_s=filter_.watch.total_s,
         )
 
 
-def _started(watch: "Watch", factory: Factory, dataset: Dataset) -> Filter:
-    filter_ = watch("start", factory, task_of(dataset))
-    calls = ("predict", "update", "belief")
-    if lacking := [call for call in calls if not callable(getattr(filter_, call, None))]:
-        kind, methods = type(filter_).__name__, ", ".join(lacking)
-        raise FilterFailure("start", f"gave what is no filter: {kind} has no method {methods}")
-    return filter_
-
-
-class Watch:
-    """Calls into the filter under test: adds up their time, and names the call that raises."""
-
-    def __init__(self) -> None:
-        self.total_s = 0.0
-
-    def __call__(self, call: str, function: Callable[P, R], *args: P.args, **kwargs: P.kwargs) -> R:
-        """Call the function, under the name `call`.
-
-        Raises:
-            FilterFailure: it raised.
-        """
-        start = time.perf_counter()
-        try:
-            return function(*args, **kwargs)
-        except Exception as error:
-            raise FilterFailure(call, f"raised {type(error).__name__}: {error}") from error
-        finally:
-            self.total_s += time.perf_counter() - start
-
-
-def _checked(call: str, belief: Belief) -> Belief:
-    if not isinstance(belief, Belief):
-        raise FilterFailure(call, f"left {type(belief).__name__}: expected a vislam.types.Belief")
-    shape = np.shape(belief.T_world_imu)
-    if shape != (4, 4) or not np.isfinite(belief.T_world_imu).all():
-        raise FilterFailure(
-            call,
-            "left a pose that is not usable: expected finite numbers of shape (4, 4), got shape "
-            f"{shape}: {np.array2string(np.asarray(belief.T_world_imu), precision=3)}",
-        )
-    return belief
+def _inputs(dataset: Dataset, raw: bool) -> Iterator[Input]:
+    for i in range(len(dataset)):
+        yield dataset.frame(i)
+        if i + 1 < len(dataset):
+            yield from _motions(dataset, i, raw)
 
 
 def _motions(dataset: Dataset, i: int, raw: bool) -> Iterator[tuple[Twist | ImuSample, float]]:

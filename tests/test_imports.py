@@ -35,6 +35,7 @@ LAYERS = [
     "simbench.npz",
     "simbench.bugs",
     "simbench.filters",
+    "simbench.driving",
     "simbench.run",
     "simbench.metrics",
     "simbench.checks",

@@ -20,15 +20,16 @@ from scipy.linalg import hadamard
 from threadpoolctl import threadpool_limits
 
 from simbench.checks.findings import AuditResult, Deviations, Finding, SceneAudit
+from simbench.checks.result import NotApplicable
 from simbench.checks.scenes import SCENES, drive
 from simbench.checks.short_drive import Readings, ShortDrive
-from simbench.errors import FilterFailure
-from simbench.run import Watch
-from vislam.arrays import Array
+from simbench.checks.trace import driven
+from simbench.driving import error_of
+from simbench.errors import FilterFailure, InputError
+from vislam.arrays import Array, BoolArray
 from vislam.filters import Factory
-from vislam.filters.protocol import Finishing
 from vislam.filters.records import diagonal_blocks
-from vislam.types import Belief, Innovation
+from vislam.types import Belief
 
 EPS = (1e-2, 1e-3, 1e-4)
 #: What may remain when eps goes to zero. Rounding leaves 1e-7. A covariance that is off by less
@@ -54,6 +55,9 @@ def audit_drive(factory: Factory, drive: ShortDrive, eps: tuple[float, ...] = EP
         factory: makes the filter.
         drive: the scene.
         eps: scales of the realised noise, falling; the last two decide what vanishes.
+
+    Raises:
+        InputError: the filter asks for raw IMU samples.
     """
 
     def result(first: Finding | None, *deviations: Deviations) -> SceneAudit:
@@ -67,10 +71,14 @@ def audit_drive(factory: Factory, drive: ShortDrive, eps: tuple[float, ...] = EP
             for claim in claims:
                 if (finding := _without_noise(claim, drive)) is not None:
                     return result(finding)
-            if not any(np.isfinite(_claimed(claim.belief)).any() for claim in claims):
+            if not any(_claimed(claim.belief)[1].any() for claim in claims):
                 reason = "claims no covariance, all along: there is nothing to audit"
                 return result(Finding(call="start", block="covariance", reason=reason))
             moments = [_Moments.of(factory, drive, claims, scale) for scale in eps]
+    except NotApplicable as why:
+        raise InputError(
+            f"Expected a filter that takes twists, which is what an audit feeds; this one {why}."
+        ) from why
     except FilterFailure as failure:
         return result(Finding(call=failure.call, block="exception", reason=failure.reason))
     return result(_first(claims, *moments[-2:]), *(_deviations(claims, each) for each in moments))
@@ -95,38 +103,28 @@ class Call:
 
 def _calls(factory: Factory, drive: ShortDrive, readings: Readings) -> Iterator[Call]:
     """Run a filter, and give what it holds after each call."""
-    watch = Watch()
-    filter_ = watch("start", factory, replace(drive.task, prior=readings.prior))
-
-    def held(name: str, frame: int, innovation: Innovation | None = None) -> Call:
-        belief = watch(name, filter_.belief, joint=True)
-        whitened = None
-        if innovation is not None:
-            shape = innovation.whitened.shape
-            whitened = innovation.whitened.reshape(*shape[:-2], shape[-2] * shape[-1])
-        return Call(name=name, frame=frame, belief=belief, whitened=whitened)
-
-    for i, frame in enumerate(readings.frames):
-        if i:
-            tau = float(drive.intervals_s[i - 1])
-            watch(f"predict {i - 1}", filter_.predict, readings.twists[i - 1], tau)
-            yield held(f"predict {i - 1}", i)
-        innovation = watch(f"update {i}", filter_.update, frame)
-        yield held(f"update {i}", i, innovation)
-    if isinstance(filter_, Finishing):
-        final = watch("finish", filter_.finish)
+    filter_ = driven(factory, replace(drive.task, prior=readings.prior))
+    batch = readings.prior.T_world_imu.shape[:-2]
+    for done in filter_.feed(drive.inputs(readings)):
+        belief, whitened = filter_.belief(done.name, joint=True), None
+        if done.innovation is not None:
+            k = len(done.innovation.ids)
+            whitened = np.broadcast_to(done.innovation.whitened, (*batch, k, 4))
+            whitened = whitened.reshape(*batch, 4 * k)
+        yield Call(name=done.name, frame=done.frame, belief=belief, whitened=whitened)
+    if (final := filter_.finish()) is not None:
         yield Call(name="finish", frame=drive.frames - 1, belief=final, whitened=None)
 
 
 def _without_noise(claim: Call, drive: ShortDrive) -> Finding | None:
     """A filter that is given no noise at all has no excuse for an error."""
-    error = claim.belief.error(drive.state(claim.frame))
-    if np.isfinite(error).all() and np.abs(error).max(initial=0.0) < STANDSTILL:
+    worst = np.abs(error_of(claim.name, claim.belief, drive.state(claim.frame))).max(initial=0.0)
+    if worst < STANDSTILL:
         return None
     return Finding(
         call=claim.name,
         block="estimate",
-        reason=f"is wrong even without noise: the error is {np.abs(error).max():.3g}",
+        reason=f"is wrong even without noise: the error is {worst:.3g}",
     )
 
 
@@ -176,7 +174,7 @@ def _design(scalars: int) -> Array:
 
 def _batches(factory: Factory, drive: ShortDrive, w: Array) -> Iterator[Array]:
     """The runs as the filter takes them: many along a batch axis, or one by one."""
-    if getattr(factory(drive.task), "batched", False):
+    if driven(factory, drive.task).batched:
         yield from np.array_split(w, -(-len(w) // BATCH))
     else:
         yield from w
@@ -189,7 +187,7 @@ def _error(call: Call, claim: Call, drive: ShortDrive) -> Array:
             "holds other landmarks, or in another order, when the noise differs by a thousandth "
             f"of a sigma: {call.belief.ids.tolist()} instead of {claim.belief.ids.tolist()}",
         )
-    return call.belief.error(drive.state(call.frame))
+    return error_of(call.name, call.belief, drive.state(call.frame))
 
 
 def _gram(vectors: Array) -> Array:
@@ -198,24 +196,26 @@ def _gram(vectors: Array) -> Array:
     return np.asarray(rows.T @ rows)
 
 
-def _claimed(belief: Belief) -> Array:
-    """The covariance that a belief claims; NaN where it does not say."""
+def _claimed(belief: Belief) -> tuple[Array, BoolArray]:
+    """The covariance that a belief claims, and which elements it says."""
     if belief.joint_covariance is not None:
-        return belief.joint_covariance
+        return belief.joint_covariance, np.ones(belief.joint_covariance.shape, bool)
     pose = 0 if belief.pose_covariance is None else 6
-    P = np.full((pose + 3 * len(belief.ids), pose + 3 * len(belief.ids)), np.nan)
+    P = np.zeros((pose + 3 * len(belief.ids), pose + 3 * len(belief.ids)))
+    said = np.zeros(P.shape, bool)
     if belief.pose_covariance is not None:
-        P[:6, :6] = belief.pose_covariance
+        P[:6, :6], said[:6, :6] = belief.pose_covariance, True
     if len(belief.landmark_covariances):
         diagonal_blocks(P[pose:, pose:])[...] = belief.landmark_covariances
-    return P
+        diagonal_blocks(said[pose:, pose:])[...] = True
+    return P, said
 
 
-def _relative(true: Array, claimed: Array) -> Array:
-    """Difference over the two standard deviations, as claimed, or as true where none is claimed."""
+def _relative(true: Array, claimed: Array, said: BoolArray) -> Array:
+    """Difference over the two standard deviations, as claimed, or as true; 0 where not said."""
     variance = np.where(np.diag(claimed) > 0, np.diag(claimed), np.diag(true))
     sigma = np.sqrt(np.where(variance > 0, variance, 1.0))
-    return np.asarray(np.nan_to_num((true - claimed) / np.outer(sigma, sigma), nan=0.0))
+    return np.where(said, (true - claimed) / np.outer(sigma, sigma), 0.0)
 
 
 def _limit(large: Array, small: Array, eps: tuple[float, float]) -> Array:
@@ -233,9 +233,8 @@ def _first(claims: tuple[Call, ...], large: _Moments, small: _Moments) -> Findin
     for k, claim in enumerate(claims):
         for landmark in claim.belief.ids.tolist():
             birth.setdefault(landmark, claim.frame)
-        claimed = _claimed(claim.belief)
         true = _limit(large.errors[k], small.errors[k], eps)
-        finding = _worst(claim, claimed, true, birth)
+        finding = _worst(claim, true, birth)
         if finding is not None:
             return finding
         if claim.whitened is not None:
@@ -247,8 +246,9 @@ def _first(claims: tuple[Call, ...], large: _Moments, small: _Moments) -> Findin
     return None
 
 
-def _worst(claim: Call, claimed: Array, true: Array, birth: dict[int, int]) -> Finding | None:
-    deviation = _relative(true, claimed)
+def _worst(claim: Call, true: Array, birth: dict[int, int]) -> Finding | None:
+    claimed, said = _claimed(claim.belief)
+    deviation = _relative(true, claimed, said)
     if not deviation.size or np.abs(deviation).max() < TOLERANCE:
         return None
     i, j = sorted(map(int, np.unravel_index(np.abs(deviation).argmax(), deviation.shape)))
@@ -301,8 +301,8 @@ def _deviations(claims: tuple[Call, ...], moments: _Moments) -> Deviations:
     seen = 0
     whitened = moments.whitened - np.eye(len(moments.whitened))
     for claim, true in zip(claims, moments.errors, strict=True):
-        claimed = _claimed(claim.belief)
-        block.append(float(np.abs(_relative(true, claimed)).max(initial=0.0)))
+        claimed, said = _claimed(claim.belief)
+        block.append(float(np.abs(_relative(true, claimed, said)).max(initial=0.0)))
         if claim.belief.pose_covariance is not None:
             pose.append(_excess(true[:6, :6], claimed[:6, :6]))
         if claim.belief.joint_covariance is not None:

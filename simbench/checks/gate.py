@@ -8,9 +8,8 @@ import numpy as np
 from simbench.checks.result import CheckResult, NotApplicable, check, judged
 from simbench.checks.scenes import drive as scene
 from simbench.checks.short_drive import ShortDrive
-from simbench.checks.trace import SCENE
+from simbench.checks.trace import SCENE, driven
 from simbench.rng import stream
-from simbench.run import Watch
 from vislam.arrays import Array, BoolArray
 from vislam.filters import Factory
 
@@ -55,7 +54,7 @@ def refuse_as_often_as_told(factory: Factory, drive: ShortDrive | None = None) -
 def _answers(factory: Factory, drive: ShortDrive) -> Iterator[bool]:
     """What the gate says of one sighting in each run."""
     w = stream(0, 0, "checks.gate").standard_normal((RUNS, drive.scalars))
-    if getattr(Watch()("start", factory, drive.task), "batched", False):
+    if driven(factory, drive.task).batched:
         accepted = _first_answers(factory, drive, w)
         yield from accepted[np.arange(RUNS), np.arange(RUNS) % accepted.shape[1]].tolist()
     else:
@@ -66,19 +65,16 @@ def _answers(factory: Factory, drive: ShortDrive) -> Iterator[bool]:
 
 def _first_answers(factory: Factory, drive: ShortDrive, w: Array) -> BoolArray:
     """What the gate says of the first frame that it tests, shape (..., k)."""
-    watch, readings = Watch(), drive.realise(w)
-    task = replace(drive.task, prior=readings.prior, gate=PROBABILITY)
-    filter_ = watch("start", factory, task)
-    for i, frame in enumerate(readings.frames):
-        if i:
-            tau = float(drive.intervals_s[i - 1])
-            watch(f"predict {i - 1}", filter_.predict, readings.twists[i - 1], tau)
-        innovation = watch(f"update {i}", filter_.update, frame)
-        if innovation is not None and len(innovation.ids):
-            belief = watch(f"update {i}", filter_.belief)
+    readings = drive.realise(w)
+    filter_ = driven(factory, replace(drive.task, prior=readings.prior, gate=PROBABILITY))
+    for done in filter_.feed(drive.inputs(readings)):
+        if done.innovation is not None and len(done.innovation.ids):
+            belief = filter_.belief(done.name)
             if belief.pose_covariance is None and not np.allclose(
-                belief.T_world_imu, drive.T_world_imu[i], atol=1e-6
+                belief.T_world_imu, drive.T_world_imu[done.frame], atol=1e-6
             ):
                 raise NotApplicable("the filter takes a pose for the truth that is not")
-            return innovation.accepted
+            return np.broadcast_to(
+                done.innovation.accepted, (*w.shape[:-1], len(done.innovation.ids))
+            )
     raise NotApplicable("the filter states no innovation")

@@ -20,11 +20,12 @@ from scipy.special import chdtri
 from threadpoolctl import threadpool_limits
 
 from simbench.dataset import Dataset, Truth
+from simbench.driving import Watch, checked, error_of
 from simbench.errors import FilterFailure, InputError
 from simbench.filters import resolve
 from simbench.metrics import RANK_TOLERANCE, ate, metrics, nees, nis, rmse, whiteness
 from simbench.rng import stream
-from simbench.run import RunRecord, Step, Watch, run
+from simbench.run import RunRecord, Step, run
 from simbench.scenario import Scenario
 from simbench.sensors import simulate
 from vislam.arrays import Array, IntArray
@@ -167,9 +168,9 @@ class _Probe:
     def on_step(self, step: Step) -> None:
         if step.frame not in self._at or self._filter is None:
             return
-        call, watch = f"update {step.frame}", Watch()
-        belief = watch(call, self._filter.belief, joint=True)
-        error = watch(call, belief.error, _truth(self._dataset).state(step.frame))
+        call = f"update {step.frame}"
+        belief = checked(call, Watch()(call, self._filter.belief, joint=True))
+        error = error_of(call, belief, _truth(self._dataset).state(step.frame))
         pose = joint = (0.0, 0)
         if belief.pose_covariance is not None:
             pose = _nees(error[:6], belief.pose_covariance)
@@ -214,7 +215,7 @@ def _chi_square(pairs: Iterable[tuple[float, int]]) -> ChiSquare:
 
 
 def _landmark_nees(record: RunRecord) -> ChiSquare:
-    """NEES of one landmark of each age class, of one row of the run's beliefs, all alike likely."""
+    """NEES of one landmark of each age class: of one row of the run's beliefs, all alike likely."""
     frames = np.repeat(range(len(record.steps)), [len(s.belief.ids) for s in record.steps])
     ids = np.concatenate([step.belief.ids for step in record.steps])
     _, first, which = np.unique(ids, return_index=True, return_inverse=True)

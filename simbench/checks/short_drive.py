@@ -5,6 +5,7 @@ element of a standard normal vector w. A `ShortDrive` makes the data of any w, o
 along a batch axis. With w = 0 there is no noise, and a right filter follows the truth.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -127,6 +128,15 @@ class ShortDrive:
         return Readings(
             prior=replace(prior, T_world_imu=T_start), twists=twists, frames=tuple(frames)
         )
+
+    def inputs(self, readings: Readings) -> Iterator[StereoFrame | tuple[Twist, float]]:
+        """Readings in the order of time: frames, between two of them a twist and its seconds."""
+        yield readings.frames[0]
+        for twist, tau, frame in zip(
+            readings.twists, self.intervals_s.tolist(), readings.frames[1:], strict=True
+        ):
+            yield twist, tau
+            yield frame
 
     def _measured(self, i: int, n: Array) -> Twist:
         """The twist that is read when the true motion of an interval meets noise n."""

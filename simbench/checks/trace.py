@@ -10,9 +10,8 @@ import numpy as np
 from simbench.checks.result import NotApplicable
 from simbench.checks.scenes import drive as scene
 from simbench.checks.short_drive import ShortDrive
-from simbench.errors import FilterFailure
+from simbench.driving import Driven
 from simbench.rng import stream
-from simbench.run import Watch
 from vislam.arrays import Array, IntArray
 from vislam.filters import Factory
 from vislam.filters.records import Augment, Drop, Record
@@ -46,12 +45,9 @@ class Feed:
         drive = scene(SCENE) if drive is None else drive
         w = stream(0, draw, "checks").standard_normal(drive.scalars)
         readings = drive.realise(noise * w)
-        steps: list[StereoFrame | tuple[Twist, float]] = [readings.frames[0]]
-        for twist, tau, frame in zip(
-            readings.twists, drive.intervals_s.tolist(), readings.frames[1:], strict=True
-        ):
-            steps += [(twist, tau), frame]
-        return cls(task=replace(drive.task, prior=readings.prior), steps=tuple(steps))
+        return cls(
+            task=replace(drive.task, prior=readings.prior), steps=tuple(drive.inputs(readings))
+        )
 
     def each_frame(self, change: Callable[[int, StereoFrame], StereoFrame]) -> "Feed":
         """With changed frames, each given with its place among the steps."""
@@ -88,6 +84,19 @@ class Call:
     records: tuple[Record, ...]
 
 
+def driven(factory: Factory, task: Task) -> Driven:
+    """A filter that takes twists.
+
+    Raises:
+        NotApplicable: it asks for raw IMU samples.
+        FilterFailure: it raised, or is none.
+    """
+    filter_ = Driven(factory, task)
+    if filter_.raw:
+        raise NotApplicable("asks for raw IMU samples, which a short drive does not have")
+    return filter_
+
+
 def trace(factory: Factory, feed: Feed) -> tuple[Call, ...]:
     """Run a filter.
 
@@ -98,39 +107,25 @@ def trace(factory: Factory, feed: Feed) -> tuple[Call, ...]:
         NotApplicable: the filter asks for raw IMU samples.
         FilterFailure: it raised, or what it holds is no belief.
     """
-    watch, frame = Watch(), -1
-    task = replace(feed.task, rng=stream(0, 0, "filter"))  # a generator that nobody has drawn from
-    filter_ = watch("start", factory, task)
-    if getattr(filter_, "motion", "twist") != "twist":
-        raise NotApplicable("asks for raw IMU samples, which a short drive does not have")
-    records: list[Record] | None = None
-    if hasattr(filter_, "records"):
-        filter_.records = records = []
-    start = _checked("start", watch("start", filter_.belief, joint=True))
-    calls = [Call(name="start", belief=deepcopy(start), handed=start, innovation=None, records=())]
-    for step in feed.steps:
-        innovation = None
-        if isinstance(step, StereoFrame):
-            frame += 1
-            name = f"update {frame}"
-            innovation = watch(name, filter_.update, step)
-        else:
-            name = f"predict {frame}"
-            watch(name, filter_.predict, *step)
-        belief = _checked(name, watch(name, filter_.belief, joint=True))
-        done = tuple(records or ())
-        if records is not None:
-            records.clear()
-        calls.append(
-            Call(
-                name=name,
-                belief=deepcopy(belief),
-                handed=belief,
-                innovation=innovation,
-                records=done,
-            )
+    # with a generator that nobody has drawn from
+    filter_ = driven(factory, replace(feed.task, rng=stream(0, 0, "filter")))
+    records: list[Record] = []
+    if hasattr(filter_.filter, "records"):
+        filter_.filter.records = records
+
+    def call(name: str, innovation: Innovation | None = None) -> Call:
+        belief, done = filter_.belief(name, joint=True), tuple(records)
+        records.clear()
+        return Call(
+            name=name,
+            belief=deepcopy(belief),
+            handed=belief,
+            innovation=innovation,
+            records=done,
         )
-    return tuple(calls)
+
+    start = call("start")
+    return (start, *(call(done.name, done.innovation) for done in filter_.feed(feed.steps)))
 
 
 def white_box(factory: Factory, feed: Feed) -> list[tuple[Call, Call]]:
@@ -170,27 +165,6 @@ def held(before: Call, after: Call) -> list[tuple[Record, IntArray]]:
     if not np.array_equal(ids, after.belief.ids):
         raise NotApplicable(f"{after.name}: the records are not of the landmarks in the belief")
     return found
-
-
-def _checked(name: str, belief: Belief) -> Belief:
-    m, T = len(belief.ids), belief.T_world_imu
-    of_each = belief.landmark_covariances if len(belief.landmark_covariances) else None
-    pose = 0 if belief.pose_covariance is None else 6
-    shapes = {
-        "T_world_imu": (T, (4, 4)),
-        "landmarks": (belief.landmarks, (m, 3)),
-        "landmark_covariances": (of_each, (m, 3, 3)),
-        "pose_covariance": (belief.pose_covariance, (6, 6)),
-        "joint_covariance": (belief.joint_covariance, (pose + 3 * m, pose + 3 * m)),
-    }
-    for field, (array, shape) in shapes.items():
-        if array is not None and np.shape(array) != shape:
-            raise FilterFailure(
-                name, f"left `{field}` of shape {np.shape(array)}, expected {shape}"
-            )
-    if not (np.isfinite(T).all() and np.isfinite(belief.landmarks).all()):
-        raise FilterFailure(name, "left an estimate that is not finite")
-    return belief
 
 
 def covariances(belief: Belief) -> list[tuple[str, Array]]:
