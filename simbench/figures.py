@@ -279,9 +279,9 @@ def bugs(found: Matrix) -> Figure:
     shade = np.array([[_certainty(found[row][c]) for c in columns] for row in rows])
     figure = Figure(figsize=(TEXT_WIDTH_IN, 0.17 * len(rows) + 1.1), layout="constrained")
     ax = figure.subplots()
-    ax.imshow(shade, cmap="Greys", vmin=0, vmax=1.4, aspect="auto")
+    ax.imshow(shade, cmap="Greys", vmin=0, vmax=1.25, aspect="auto")
     for (y, x), dark in np.ndenumerate(shade):
-        sign, color = mark(found[rows[y]][columns[x]]), "w" if dark > 0.7 else "k"
+        sign, color = mark(found[rows[y]][columns[x]]), "w" if dark > 0.6 else "k"
         text = {".": "", "x": "\N{CHECK MARK}"}.get(sign, sign)
         ax.text(x, y, text, ha="center", va="center", color=color, fontsize=6.5)
         if columns[x] in BUGS[rows[y]].checks:

@@ -68,7 +68,7 @@ CATALOGUE = MappingProxyType(
             what="The twist moves the pose over the interval next to its own.",
             source="seen in courses",
             make=f"{_FEED}:InputOfAnotherInterval",
-            checks=("audit", "nis", "whiteness"),
+            checks=("audit", "nees", "nis"),
             audit=Trace(scene="births", call="predict 1", block="estimate"),
         ),
         "posterior-pose-covariance-not-stored": Bug(
@@ -82,14 +82,14 @@ CATALOGUE = MappingProxyType(
             what="The gate's threshold is that of 2 degrees of freedom, for a residual of 4.",
             source="KumarRobotics/msckf_vio#58, rlabbe/filterpy#155",
             make=f"{_PARTS}:gate_of_wrong_dof",
-            checks=("gate-rate", "nis"),
+            checks=("gate-rate",),
             blind="the audit's noise is small, so that gates stay open",
         ),
         "process-noise-by-dt-squared": Bug(
             what="W tau^2 where it is W tau: the process noise has one factor of dt too many.",
             source="Mayitzin/ahrs#97, cra-ros-pkg/robot_localization#881",
             make=f"{_PARTS}:process_noise_by_dt_squared",
-            checks=("audit", "nis", "whiteness"),
+            checks=("audit", "nees", "nis"),
             audit=Trace(scene="births", call="predict 0", block="pose covariance"),
         ),
         "pixel-noise-twice": Bug(
@@ -103,7 +103,7 @@ CATALOGUE = MappingProxyType(
             what="The pixels that made a landmark update it in the same frame.",
             source="seen in courses",
             make=f"{_FEED}:BirthFusedAgain",
-            checks=("audit", "landmark-nees"),
+            checks=("audit", "nees"),
             audit=Trace(scene="births", call="update 0", block="landmark covariance (age 0)"),
         ),
         "process-noise-of-mean-interval": Bug(
@@ -117,7 +117,7 @@ CATALOGUE = MappingProxyType(
             what="One measurement updates the state twice.",
             source="rpng/open_vins#275",
             make=f"{_FEED}:FusedTwice",
-            checks=("audit", "nis"),
+            checks=("audit", "nees", "nis"),
             audit=Trace(scene="births", call="update 1", block="landmark covariance (age 1)"),
         ),
         "covariance-never-symmetrised": Bug(
@@ -143,7 +143,7 @@ CATALOGUE = MappingProxyType(
             source="AtsushiSakai/PythonRobotics#972, AtsushiSakai/PythonRobotics#973, "
             "unmannedlab/ekf_cal 300471e",
             make=f"{_PARTS}:cross_covariance_not_propagated",
-            checks=("audit", "nees"),
+            checks=("audit",),
             audit=Trace(
                 scene="births",
                 call="predict 0",
@@ -166,28 +166,28 @@ CATALOGUE = MappingProxyType(
             what="P[rows][:, rows] = ... leaves the block of the landmarks in sight as it was.",
             source="seen in courses",
             make=f"{_PARTS}:fancy_index_write_into_a_copy",
-            checks=("audit", "nis", "landmark-nees"),
+            checks=("audit", "nees", "nis"),
             audit=Trace(scene="births", call="update 1", block="landmark covariance (age 1)"),
         ),
         "mask-of-residual-alone": Bug(
             what="What is not seen has residual zero, but its H: the covariance still shrinks.",
             source="seen in courses",
             make=f"{_FEED}:MaskOfResidualAlone",
-            checks=("audit", "masking", "landmark-nees"),
+            checks=("audit", "masking", "nees", "nis"),
             audit=Trace(scene="births", call="update 1", block="landmark covariance (age 1)"),
         ),
         "missing-pixels-taken-as-pixels": Bug(
             what="-1 is taken for a pixel where only some of a feature is missing: any for all.",
             source="seen in courses",
             make=f"{_PARTS}:missing_pixels_taken_as_pixels",
-            checks=("audit", "masking", "nis"),
+            checks=("audit", "masking", "raises"),
             audit=Trace(scene="births", call="update 2", block="innovation covariance"),
         ),
         "features-of-another-frame": Bug(
             what="Features meet the pose of the next frame.",
             source="seen in courses",
             make=f"{_FEED}:FeaturesOfAnotherFrame",
-            checks=("audit", "nis", "whiteness"),
+            checks=("audit", "nees", "nis"),
             audit=Trace(scene="births", call="update 1", block="estimate"),
         ),
         "left-retraction": Bug(
@@ -201,7 +201,7 @@ CATALOGUE = MappingProxyType(
             what="The projection's Jacobian lacks its factor 1 / z.",
             source="seen in courses",
             make=f"{_PARTS}:jacobian_without_division_by_depth",
-            checks=("audit", "jacobian", "nees"),
+            checks=("audit", "jacobian", "nees", "whiteness"),
             audit=Trace(scene="births", call="update 1", block="landmark covariance (age 1)"),
         ),
         "control-adjoint-4x4": Bug(

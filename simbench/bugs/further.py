@@ -40,7 +40,7 @@ FURTHER = MappingProxyType(
             what="The mean interval for each interval, in motion and noise.",
             source="none found",
             make=f"{_FEED}:MeanInterval",
-            checks=("audit", "nis", "whiteness"),
+            checks=("audit", "nees", "nis"),
             audit=Trace(scene="births", call="predict 1", block="estimate"),
         ),
         "first-order-pose": Bug(
@@ -89,14 +89,14 @@ FURTHER = MappingProxyType(
             what="The camera's pose in the IMU frame is told inverted.",
             source="Kimera-VIO#117",
             make=f"{_FEED}:extrinsics_inverted",
-            checks=("audit", "nis"),
+            checks=("audit", "nees", "gate-rate"),
             audit=Trace(scene="births", call="update 0", block="estimate"),
         ),
         "unseen-landmarks-left": Bug(
             what="An update changes the pose and the landmarks in sight, and no other.",
             source="none found",
             make=f"{_PARTS}:unseen_landmarks_left",
-            checks=("audit", "covariance-laws", "landmark-nees"),
+            checks=("audit", "covariance-laws", "raises"),
             audit=Trace(
                 scene="births",
                 call="update 2",
