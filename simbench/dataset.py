@@ -139,8 +139,7 @@ class Dataset:
         angular_velocity: measured, rad/s, IMU frame, shape (T, 3).
         landmark_count: M; landmark ids are 0 to M - 1.
         sightings: features by frame, or None where the data have none.
-        calibration: what the filter is told of the geometry; None where a file without features
-            says nothing.
+        calibration: what the filter is told of the geometry.
         noise: what the filter is told of the noise.
         prior: what the filter is told of the start.
         gate: probability of the gate that the filter is told to use, or None.

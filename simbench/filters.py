@@ -1,4 +1,4 @@
-"""What a filter's name means: one of ours, maybe with a bug, a registered one, or a factory."""
+"""What a filter's name means: one of ours, possibly with a bug, a registered one, or a factory."""
 
 import difflib
 import importlib

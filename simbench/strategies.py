@@ -161,7 +161,7 @@ def scenarios(
     Args:
         max_frames: how many there are at the most.
         max_landmarks: likewise.
-        trajectories: the kinds to choose from, the plainest first.
+        trajectories: the kinds to choose from, in any order.
     """
     _expect("max_frames", max_frames, max_frames >= 2, "of at least 2")
     _expect("max_landmarks", max_landmarks, max_landmarks >= 1, "of at least 1")

@@ -4,9 +4,8 @@ Frozen, keyword-only dataclasses on plain arrays. A leading ``...`` in a shape s
 optional batch axis: runs that share ids, times and visibility, and differ in their numbers.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal, TypeAlias, get_args
+from typing import Literal, TypeAlias, get_args
 
 import numpy as np
 
@@ -44,7 +43,7 @@ class ImuSample:
     Attributes:
         time_s: time of the sample.
         gyro: angular rate, rad/s, IMU frame, shape (..., 3).
-        accel: specific force, m/s^2, IMU frame, shape (..., 3); at rest it points up with 9.81.
+        accel: specific force, m/s^2, IMU frame, shape (..., 3); at rest it points up, 9.80665.
     """
 
     time_s: float
@@ -243,7 +242,6 @@ class Task:
             shape (T, 4, 4); None where nobody knows them.
         memory_bytes: what a backward pass may hold in memory.
         rng: for a filter that needs chance.
-        options: further settings by name.
     """
 
     calibration: Calibration
@@ -253,4 +251,3 @@ class Task:
     trajectory: Array | None = None
     memory_bytes: int = 2**30
     rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
-    options: Mapping[str, Any] = field(default_factory=dict)

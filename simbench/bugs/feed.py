@@ -151,7 +151,7 @@ class FusedTwice(EkfSlam):
     """Updates twice by the landmarks that were known."""
 
     def update(self, frame: StereoFrame) -> Innovation:
-        """Says of the second time nothing."""
+        """Reports nothing of the second update."""
         innovation = super().update(replace(frame, last=np.zeros_like(frame.last)))
         super().update(only(frame, innovation.ids))
         return innovation
@@ -161,7 +161,7 @@ class BirthFusedAgain(EkfSlam):
     """Enters new landmarks, then updates by the pixels that made them."""
 
     def update(self, frame: StereoFrame) -> Innovation:
-        """Says of both updates what they had to say."""
+        """Reports both updates as one."""
         known = super().update(replace(frame, last=np.zeros_like(frame.last)))
         born = super().update(only(frame, known.born))
         return replace(

@@ -1,4 +1,4 @@
-"""What of the bench sees which bug: bug by check, measured.
+"""Which check catches which bug, measured.
 
 A check catches a bug where it finds something that it does not find in the bug's own base: that the
 standard filter leaks information along its null space is no merit of a bug.

@@ -142,7 +142,7 @@ def divide_the_frame(factory: Factory, drive: ShortDrive | None = None) -> Check
 
 @check
 def hide_a_landmark(factory: Factory, drive: ShortDrive | None = None) -> CheckResult:
-    """A landmark all of whose sightings are -1, against one that never was."""
+    """A landmark all of whose sightings are -1, against one that never existed."""
     feed = Feed.of(drive).streamed()
     seen = np.concatenate([s.ids for s in feed.steps if isinstance(s, StereoFrame)])
     if not len(seen):

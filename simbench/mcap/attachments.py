@@ -25,7 +25,7 @@ def dump_told(dataset: Dataset) -> bytes:
     """``calibration.json``: calibration, noise, prior, gate and landmark count."""
     truth = dataset.truth
     told = {
-        "calibration": asdict(dataset.calibration) if dataset.calibration else None,
+        "calibration": asdict(dataset.calibration),
         "noise": asdict(dataset.noise),
         "prior": asdict(dataset.prior),
         "gate": dataset.gate,
@@ -39,6 +39,7 @@ def dump_told(dataset: Dataset) -> bytes:
 def load_told(data: bytes) -> dict[str, Any]:
     """The fields of a dataset in ``calibration.json``, and ``true_calibration``."""
     told = json.loads(data)
+    true_calibration = told["true_calibration"]
     return {
         "calibration": _calibration(told["calibration"]),
         "noise": Noise(
@@ -49,14 +50,12 @@ def load_told(data: bytes) -> dict[str, Any]:
         "prior": _belief(told["prior"]),
         "gate": told["gate"],
         "landmark_count": told["landmark_count"],
-        "true_calibration": _calibration(told["true_calibration"]),
+        "true_calibration": true_calibration and _calibration(true_calibration),
         "notes": tuple(told["notes"]),
     }
 
 
-def _calibration(told: dict[str, Any] | None) -> Calibration | None:
-    if told is None:
-        return None
+def _calibration(told: dict[str, Any]) -> Calibration:
     rig = told["rig"]
     if rig["image_px"] is not None:
         rig["image_px"] = tuple(rig["image_px"])

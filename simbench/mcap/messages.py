@@ -68,10 +68,10 @@ class Frame(NamedTuple):
 
 
 def qos(latched: bool) -> str:
-    """The text of ``offered_qos_profiles``; latched is for those who come late ("transient local").
+    """The text of ``offered_qos_profiles``; a late subscriber still gets a latched topic.
 
     Policies are numbers, as rosbag2 wrote them up to Iron: older readers know no other form, and
-    newer ones tell the two apart.
+    newer ones read both.
     """
     profile = {
         "history": 1,  # keep last

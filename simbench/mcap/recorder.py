@@ -97,7 +97,7 @@ class Recorder:
         self._schemas: dict[str, Any] = {}
         self._cameras = {
             f"/cam{i}/camera_info": m.camera_info(0, dataset.calibration, right=bool(i))
-            for i in ((0, 1) if dataset.calibration is not None else ())
+            for i in (0, 1)
         }
         # Some methods of Writer carry no types. Its check sum over all finds damage to attachments.
         self._writer: Any = Writer(stream, enable_data_crcs=True)
@@ -128,7 +128,7 @@ class Recorder:
         self._attach("metrics.json", "application/json", attachments.dump_metrics(metrics))
 
     def close(self) -> None:
-        """Write what is left, that the recording is whole, and its index."""
+        """Write what is left, the mark of a whole recording, and the index."""
         self._write_imu(until=len(self._imu_ns))
         self._write_metadata(finished=True)
         self._writer.finish()
@@ -155,11 +155,10 @@ class Recorder:
         frames = [m.Frame("map", "odom", here), m.Frame("base_link", "imu", here)]
         if self._filter is None and self._dataset.truth is not None:
             frames.append(m.Frame("base_link_gt", "base_link", here))
-        if calibration is not None:
-            T_cam0_cam1 = np.eye(4)
-            T_cam0_cam1[0, 3] = calibration.rig.baseline_m
-            frames.append(m.Frame("imu", "cam0", m.pose(calibration.T_imu_cam)))
-            frames.append(m.Frame("cam0", "cam1", m.pose(T_cam0_cam1)))
+        T_cam0_cam1 = np.eye(4)
+        T_cam0_cam1[0, 3] = calibration.rig.baseline_m
+        frames.append(m.Frame("imu", "cam0", m.pose(calibration.T_imu_cam)))
+        frames.append(m.Frame("cam0", "cam1", m.pose(T_cam0_cam1)))
         return frames
 
     def _write_imu(self, until: int) -> None:

@@ -17,7 +17,7 @@ ExtrinsicsKey: TypeAlias = Literal["imu_T_cam", "cam_T_imu"]
 
 RIGID_TOLERANCE = 1e-3  # real files carry about six digits
 NOTED = 1e-6
-EXACT = 1e-12  # so near to a rotation float64 goes; it is left as it is, to the bit
+EXACT = 1e-12  # as near as float64 comes to a rotation: left as it is, to the bit
 #: 2^63 ns in seconds: the year 2262.
 MAX_TIME_S = 9.2e9
 

@@ -78,7 +78,7 @@ def variants():
         "whole": whole,
         "of Unix times": drive(start_ns=UNIX_NS),
         "real": replace(drive(start_ns=UNIX_NS), truth=None, origin=None, imu=None, gate=None),
-        "without features": replace(whole, sightings=None, calibration=None),
+        "without features": replace(whole, sightings=None),
         "that does not know last sightings": replace(whole, sightings=unsure),
         "without any sighting": replace(
             whole, sightings=Sightings.from_frames([(np.empty(0, int), np.empty((0, 4)))] * FRAMES)
