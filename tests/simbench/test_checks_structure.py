@@ -279,3 +279,39 @@ def test_two_draws_of_a_feed_differ_and_one_is_the_same_again():
     first, again, other = Feed.of(None), Feed.of(None), Feed.of(None, draw=1)
     assert np.array_equal(first.steps[0].pixels, again.steps[0].pixels)
     assert not np.array_equal(first.steps[0].pixels, other.steps[0].pixels)
+
+
+def indefinite(negative):
+    """A filter at rest that learns nothing, and whose covariance loses its sign in a call."""
+
+    def change(belief):
+        if not len(belief.ids):
+            return belief
+        P = belief.pose_covariance * np.where(np.arange(6) < negative, -1.0, 1.0)
+        P = np.diag(np.diag(P))
+        return replace(belief, pose_covariance=P, joint_covariance=None)
+
+    return wrapped(slam_fej, belief=change)
+
+
+@pytest.mark.parametrize("negative", [1, 2])
+def test_covariance_that_is_indefinite_does_not_pass_at_rest(negative):
+    result = rest.rest_teaches_nothing(indefinite(negative))
+    assert result.failed
+    assert "left its covariance indefinite" in result.reason
+    result = rest.a_step_teaches_nothing(indefinite(negative))
+    assert result.failed
+    assert "covariance is indefinite at the end" in result.reason
+
+
+def test_a_pose_that_moves_at_rest_is_told_in_metres_and_degrees():
+    def pushed(belief):
+        if not len(belief.ids):
+            return belief
+        T = belief.T_world_imu @ se3.exp(np.array([0.25, 0, 0, 0, 0, 0]))
+        return replace(belief, T_world_imu=T)
+
+    reason = rest.rest_teaches_nothing(wrapped(slam_fej, belief=pushed)).reason
+    metres, degrees = reason.split("moved the pose by up to ")[1].split(" m and ")
+    assert float(metres) == 0.25
+    assert float(degrees.split(" degrees")[0]) < 1e-6
