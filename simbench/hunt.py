@@ -47,11 +47,19 @@ def judge(check: str) -> Judge:
     """The judge behind a check's name: `audit`, or one of `simbench.checks.conformance`.
 
     Raises:
-        InputError: there is no such check.
+        InputError: there is no such check, or it tells nothing of a scene.
     """
     if check == "audit":
         return _audited
     checked = conformance.resolve(check)
+    if check in conformance.NOT_HUNTED:
+        others = ", ".join(
+            name for name in conformance.CHECKS if name not in conformance.NOT_HUNTED
+        )
+        raise InputError(
+            f"Expected a check that judges the scene it is given, without chance; {check} has a "
+            f"scene of its own or counts over many draws. A hunt takes audit, {others}."
+        )
 
     def judged(factory: Factory, drive: ShortDrive) -> str | None:
         result = checked(factory, drive)

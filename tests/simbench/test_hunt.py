@@ -8,6 +8,7 @@ import pytest
 from simbench import hunt as hunting
 from simbench.bugs import BUGS
 from simbench.checks.audit import audit_drive
+from simbench.checks.conformance import CHECKS, NOT_HUNTED
 from simbench.checks.short_drive import ShortDrive
 from simbench.cli import main
 from simbench.errors import InputError
@@ -116,6 +117,30 @@ def test_clean_filter_is_the_base_of_the_bug():
 def test_unknown_check_is_refused():
     with pytest.raises(InputError, match="Expected the name of a check, got 'nullspace'"):
         judge("nullspace")
+
+
+@pytest.mark.parametrize(
+    "check", ["rest-teaches-nothing", "a-step-teaches-nothing", "refuse-as-often-as-told"]
+)
+def test_check_that_tells_nothing_of_a_scene_is_refused_with_those_that_do(check, capsys):
+    assert main(["hunt", "--filter", "slam", "--check", check]) == 2
+    message = capsys.readouterr().err
+    assert f"{check} has a scene of its own or counts" in message
+    assert "A hunt takes audit, exact-audit, move-the-world" in message
+    assert message.count(check) == 1
+
+
+def test_every_check_that_may_be_hunted_looks_at_its_scene():
+    class Looked(Exception):
+        pass
+
+    class Scene:
+        def __getattr__(self, name):
+            raise Looked
+
+    for name in set(CHECKS) - NOT_HUNTED:
+        with pytest.raises(Looked):
+            judge(name)(EkfSlam, Scene())
 
 
 def interrupting(after):

@@ -19,8 +19,8 @@ from vislam.lie import so3
 SEARCH = settings(max_examples=200, database=None, derandomize=True)
 
 
-def smallest(strategy, condition=lambda _: True):
-    return find(strategy, condition, settings=SEARCH)
+def smallest(strategy, condition=lambda _: True, search=SEARCH):
+    return find(strategy, condition, settings=search)
 
 
 @given(st.rotations())
@@ -40,7 +40,9 @@ def test_limits_are_kept(phi, T, twist):
 
 @pytest.mark.parametrize("angle", [0.0, 1e-9, np.pi])
 def test_awkward_angles_are_drawn(angle):
-    phi = smallest(st.rotation_vectors(), lambda phi: np.linalg.norm(phi) == angle)
+    # one draw in fifty or so: 200 of them would miss it now and then
+    search = settings(SEARCH, max_examples=2000)
+    phi = smallest(st.rotation_vectors(), lambda phi: np.linalg.norm(phi) == angle, search)
     assert_array_equal(np.sort(np.abs(phi)), [0, 0, angle])
 
 
