@@ -5,8 +5,7 @@ Libraries are imported inside the verbs, so that ``simbench --help`` answers at 
 
 import sys
 import traceback
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,11 +13,12 @@ import click
 
 from simbench.checks.defaults import FALSE_ALARM, MOST_SCALARS, RUNS
 from simbench.errors import FilterFailure, SimbenchError
+from simbench.printing import print_json, progress, show, status
 from vislam import __version__
 
 if TYPE_CHECKING:
     from simbench.dataset import Dataset
-    from simbench.run import RunRecord, Step
+    from simbench.run import RunRecord
 
 DONE, FAILED, WRONG_INPUT, INTERNAL, INTERRUPTED = 0, 1, 2, 3, 130
 
@@ -100,7 +100,7 @@ def generate(scenario: Path, out: Path, as_json: bool, **told: Any) -> None:
 
     dataset = _open(scenario, told)
     paths = write_dataset(dataset, out)
-    _show(describe(dataset) | {"files": list(map(str, paths))}, as_json)
+    show(describe(dataset) | {"files": list(map(str, paths))}, as_json)
 
 
 @cli.command()
@@ -122,7 +122,7 @@ def run(source: Path, names: tuple[str, ...], out: Path, as_json: bool, **told: 
     records: list[RunRecord] = []
     results = []
     for name, factory in factories.items():
-        with _progress(name, len(dataset)) as on_step:
+        with progress(name, len(dataset)) as on_step:
             record, values, paths = record_run(dataset, name, factory, out, on_step)
         records.append(record)
         results.append((values, paths))
@@ -132,10 +132,10 @@ def run(source: Path, names: tuple[str, ...], out: Path, as_json: bool, **told: 
     if len(records) > 1:
         results[-1][1].append(write_comparison(records, out))
     if as_json:
-        _print_json([v for v, _ in results] if len(results) > 1 else results[0][0])
+        print_json([v for v, _ in results] if len(results) > 1 else results[0][0])
     else:
         for values, paths in results:
-            _show(values | {"files": list(map(str, paths))}, as_json=False)
+            show(values | {"files": list(map(str, paths))}, as_json=False)
 
 
 @cli.command()
@@ -146,7 +146,7 @@ def info(file: Path, as_json: bool, **told: Any) -> None:
     from simbench.info import info as describe_file
     from simbench.source import Told
 
-    _show(describe_file(file, Told(**told)), as_json)
+    show(describe_file(file, Told(**told)), as_json)
 
 
 @cli.command()
@@ -180,7 +180,7 @@ def audit(
     results = {name: audit_filter(resolve(name), drives) for name in names}
     if as_json:
         values = [{"filter": name, **result.as_json()} for name, result in results.items()]
-        _print_json(values if len(values) > 1 else values[0])
+        print_json(values if len(values) > 1 else values[0])
     else:
         for name, result in results.items():
             click.echo(f"{name}: {'passed' if result.passed else 'failed'}")
@@ -205,7 +205,7 @@ def hunt(name: str, check: str, seed: int, max_seconds: float, out: Path, as_jso
     from simbench.filters import resolve
 
     factory, judge, clean = resolve(name), hunting.judge(check), hunting.clean_of(name)
-    with hunting.nothing_left_behind(), _status(f"hunting for a scene where {name} fails"):
+    with hunting.nothing_left_behind(), status(f"hunting for a scene where {name} fails"):
         result = hunting.hunt(factory, judge, clean=clean, seed=seed, max_seconds=max_seconds)
     found = result.found
     values: dict[str, Any] = {
@@ -224,7 +224,7 @@ def hunt(name: str, check: str, seed: int, max_seconds: float, out: Path, as_jso
         scenario, recording = hunting.write(found, name, check, out)
         values |= {"scenario": str(scenario), "mcap": str(recording)}
         values["test"] = hunting.line_for_test(scenario, name, check)
-    _show(values, as_json)
+    show(values, as_json)
     if result.ended == "interrupted":
         return INTERRUPTED
     return DONE if found is None else FAILED
@@ -255,14 +255,14 @@ def bugs(measure: bool, fast: bool, runs: int | None, out: Path | None, as_json:
 
             figures.save(figures.bugs(found), out / "bugs.png")
         if as_json:
-            _print_json(
+            print_json(
                 {n: {c: cell.as_json() for c, cell in row.items()} for n, row in found.items()}
             )
         else:
             click.echo(table(found))
         return FAILED if any(missed(name, row) for name, row in found.items()) else DONE
     if as_json:
-        _print_json([{"name": name, **bug.as_json()} for name, bug in BUGS.items()])
+        print_json([{"name": name, **bug.as_json()} for name, bug in BUGS.items()])
         return DONE
     for name, bug in BUGS.items():
         click.echo(f"{name}  {bug.what}")
@@ -311,7 +311,7 @@ def check(
     }
     if as_json:
         values = [{"filter": name, **each.as_json()} for name, each in verdicts.items()]
-        _print_json(values if len(values) > 1 else values[0])
+        print_json(values if len(values) > 1 else values[0])
     else:
         for name, each in verdicts.items():
             click.echo(f"{name}: {'passed' if each.passed else 'failed'}")
@@ -335,7 +335,7 @@ def list_(what: str, as_json: bool) -> None:
         return
     table = _table(what)
     if as_json:
-        _print_json(table)
+        print_json(table)
     else:
         width = max(map(len, table))
         for name, about in table.items():
@@ -385,80 +385,11 @@ def _open(path: Path, told: Mapping[str, Any]) -> "Dataset":
     return dataset
 
 
-@contextmanager
-def _progress(name: str, frames: int) -> Iterator[Callable[["Step"], None]]:
-    """A bar on a terminal's standard error, nothing when piped."""
-    if not sys.stderr.isatty():
-        yield lambda _: None
-        return
-    from rich.console import Console
-    from rich.progress import Progress
-
-    with Progress(console=Console(stderr=True), transient=True) as progress:
-        task = progress.add_task(name, total=frames)
-        yield lambda step: progress.update(task, completed=step.frame + 1)
-
-
-@contextmanager
-def _status(text: str) -> Iterator[None]:
-    """A line on a terminal's standard error while something runs, nothing when piped."""
-    if not sys.stderr.isatty():
-        yield
-        return
-    from rich.console import Console
-
-    with Console(stderr=True).status(text):
-        yield
-
-
-def _show(values: Mapping[str, Any], as_json: bool) -> None:
-    """Print a result: as JSON, or a line for each value."""
-    if as_json:
-        _print_json(values)
-        return
-    for line in _lines(values):
-        click.echo(line)
-
-
-def _lines(values: Mapping[str, Any], indent: str = "") -> Iterator[str]:
-    width = max(map(len, values), default=0)
-    for name, value in values.items():
-        head = f"{indent}{name:{width}}"
-        if isinstance(value, Mapping):
-            yield f"{indent}{name}"
-            yield from _lines(value, indent + "  ")
-        elif isinstance(value, list):
-            yield f"{indent}{name}" if value else f"{head}  -"
-            for item in value:
-                text = _compact(item) if isinstance(item, Mapping) else str(item)
-                yield f"{indent}  {text}"
-        else:
-            yield f"{head}  {_text(value)}"
-
-
-def _compact(values: Mapping[str, Any]) -> str:
-    return "  ".join(f"{name} {_text(value)}" for name, value in values.items())
-
-
-def _text(value: Any) -> str:
-    if value is None:
-        return "-"
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
-
-
-def _print_json(value: Any) -> None:
-    import json
-
-    click.echo(json.dumps(value, indent=2, allow_nan=False))
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a verb and return its exit status."""
     arguments = sys.argv[1:] if arguments is None else list(arguments)
     try:
-        status = cli.main(arguments, prog_name="simbench", standalone_mode=False)
+        exit_status = cli.main(arguments, prog_name="simbench", standalone_mode=False)
     except (KeyboardInterrupt, click.Abort):
         return _failed(INTERRUPTED, "Interrupted; finished files are whole, unfinished ones gone.")
     except click.ClickException as error:
@@ -474,7 +405,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _failed(
             INTERNAL, f"Internal error, {type(error).__name__}: {error}. --debug shows where."
         )
-    return status or DONE  # a judging verb returns its own
+    return exit_status or DONE  # a judging verb returns its own
 
 
 def _failed(status: int, message: str) -> int:

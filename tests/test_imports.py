@@ -49,6 +49,7 @@ LAYERS = [
     "simbench.strategies",
     "simbench.hunt",
     "simbench.pytest_plugin",
+    "simbench.printing",
     "simbench.cli",
 ]
 
