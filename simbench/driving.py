@@ -15,7 +15,7 @@ from simbench.errors import FilterFailure
 from vislam.arrays import Array
 from vislam.charts import CHARTS
 from vislam.filters.protocol import Factory, Filter, Finishing
-from vislam.types import Belief, ImuSample, Innovation, State, StereoFrame, Task, Twist
+from vislam.types import Belief, ImuSample, Innovation, Smoothed, State, StereoFrame, Task, Twist
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -119,15 +119,19 @@ class Driven:
             return checked(call, self.watch(call, self.filter.belief, joint=True), self._batch)
         return checked(call, self.watch(call, self.filter.belief), self._batch)
 
-    def finish(self) -> Belief | None:
-        """The final belief of a filter that has something to do at the end, None of another.
+    def finish(self) -> Smoothed | None:
+        """What a filter with something to do at the end knows then, None of another.
 
         Raises:
             FilterFailure: it raised, or gave what is no belief.
         """
         if not isinstance(self.filter, Finishing):
             return None
-        return checked("finish", self.watch("finish", self.filter.finish), self._batch)
+        found = self.watch("finish", self.filter.finish)
+        smoothed = found if isinstance(found, Smoothed) else Smoothed(final=found)
+        for belief in (smoothed.final, *smoothed.poses):
+            checked("finish", belief, self._batch)
+        return smoothed
 
 
 def checked(call: str, belief: Belief, batch: Shape = ()) -> Belief:

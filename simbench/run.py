@@ -40,6 +40,8 @@ class RunRecord:
         steps: one for each frame.
         final: the belief at the end, over all landmarks that were ever in the state.
         wall_s: time spent in the filter's own calls.
+        smoothed: the pose at each frame given all data; None where it was not asked for, or the
+            filter does not give it.
     """
 
     dataset: Dataset
@@ -47,6 +49,7 @@ class RunRecord:
     steps: tuple[Step, ...]
     final: Belief
     wall_s: float
+    smoothed: tuple[Belief, ...] | None = None
 
     @property
     def T_world_imu(self) -> Array:
@@ -115,13 +118,14 @@ def run(
                 belief = filter_.belief(done.name)
                 steps.append(Step(frame=done.frame, belief=belief, innovation=done.innovation))
                 on_step(steps[-1])
-        final = filter_.finish()
+        end = filter_.finish()
         return RunRecord(
             dataset=dataset,
             filter=name,
             steps=tuple(steps),
-            final=steps[-1].belief if final is None else final,
+            final=steps[-1].belief if end is None else end.final,
             wall_s=filter_.watch.total_s,
+            smoothed=(end.poses or None) if end is not None else None,
         )
 
 

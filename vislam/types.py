@@ -13,6 +13,9 @@ from vislam.arrays import Array, BoolArray, IntArray
 from vislam.camera import StereoRig
 from vislam.charts import CHARTS, ErrorFunction
 
+#: What a backward pass may hold in memory where nobody says.
+MEMORY_BYTES = 2**30
+
 ProcessModel: TypeAlias = Literal["additive", "twist", "twist-density"]
 
 
@@ -230,6 +233,20 @@ class Innovation:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Smoothed:
+    """What a filter knows at the end of the past.
+
+    Attributes:
+        final: the final belief over all landmarks.
+        poses: the pose at each frame given all that came before and after it, frame by frame;
+            empty where nobody asked for it.
+    """
+
+    final: Belief
+    poses: tuple[Belief, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Task:
     """All that a filter is told before it starts; a factory takes one and returns a filter.
 
@@ -241,6 +258,7 @@ class Task:
         trajectory: the true poses at the frames, for a filter that takes the trajectory as given,
             shape (T, 4, 4); None where nobody knows them.
         memory_bytes: what a backward pass may hold in memory.
+        smooth: whether the past poses are wanted at the end, from a filter that can give them.
         rng: for a filter that needs chance.
     """
 
@@ -249,5 +267,6 @@ class Task:
     prior: Belief
     gate: float | None = None
     trajectory: Array | None = None
-    memory_bytes: int = 2**30
+    memory_bytes: int = MEMORY_BYTES
+    smooth: bool = False
     rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))

@@ -112,8 +112,8 @@ def _calls(factory: Factory, drive: ShortDrive, readings: Readings) -> Iterator[
             whitened = np.broadcast_to(done.innovation.whitened, (*batch, k, 4))
             whitened = whitened.reshape(*batch, 4 * k)
         yield Call(name=done.name, frame=done.frame, belief=belief, whitened=whitened)
-    if (final := filter_.finish()) is not None:
-        yield Call(name="finish", frame=drive.frames - 1, belief=final, whitened=None)
+    if (end := filter_.finish()) is not None:
+        yield Call(name="finish", frame=drive.frames - 1, belief=end.final, whitened=None)
 
 
 def _without_noise(claim: Call, drive: ShortDrive) -> Finding | None:

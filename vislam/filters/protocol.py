@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from typing import Protocol, TypeAlias, runtime_checkable
 
-from vislam.types import Belief, Innovation, StereoFrame, Task, Twist
+from vislam.types import Belief, Innovation, Smoothed, StereoFrame, Task, Twist
 
 
 class Filter(Protocol):
@@ -16,8 +16,8 @@ class Filter(Protocol):
     Optional members: a class attribute ``motion = "imu"`` asks for raw `ImuSample`s in place of
     twists (several a frame); a class attribute ``batched = True`` says that prior, twists and
     pixels may carry a leading batch axis, which makes an audit much faster; a method ``finish() ->
-    Belief`` is called once, last, by a filter that has something to do at the end, and returns the
-    final belief over all landmarks.
+    Belief | Smoothed`` is called once, last, of a filter that has something to do at the end, and
+    returns the final belief over all landmarks, with past poses where `Task.smooth` asks for them.
     """
 
     def predict(self, motion: Twist, dt: float) -> None:
@@ -34,7 +34,7 @@ class Filter(Protocol):
 class Finishing(Protocol):
     """A filter with work at the end."""
 
-    def finish(self) -> Belief:
+    def finish(self) -> Belief | Smoothed:
         """The final belief, over all landmarks that were ever in the state."""
 
 

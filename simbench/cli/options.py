@@ -1,0 +1,83 @@
+"""What the verbs share: their options, exit status, and the opening of a source."""
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+if TYPE_CHECKING:
+    from simbench.dataset import Dataset
+
+DONE, FAILED, WRONG_INPUT, INTERNAL, INTERRUPTED = 0, 1, 2, 3, 130
+
+
+class Gate(click.ParamType[float | str]):
+    """A probability, or ``none``."""
+
+    name = "P|none"
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> float | str:
+        """The probability as a number in (0, 1)."""
+        if value == "none":
+            return "none"
+        try:
+            probability = float(value)
+        except ValueError:
+            probability = -1.0
+        if not 0 < probability < 1:
+            self.fail(f"expected a probability between 0 and 1, or none, got {value!r}", param, ctx)
+        return probability
+
+
+POSITIVE = click.FloatRange(min=0, min_open=True)
+SEED = click.IntRange(0, 2**63 - 1)
+OUT = click.option(
+    "--out", type=click.Path(path_type=Path), default=Path("out"), help="Where files go."
+)
+JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON value alone.")
+DEBUG = click.option("--debug", is_flag=True, expose_value=False, help="Show tracebacks.")
+SCENE = (
+    click.option("--seed", type=SEED, help="Default: the scene's own."),
+    click.option("--run", type=SEED, help="Run number, default 0."),
+    click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE", help="Change a value."),
+)
+CONVENTION = (
+    click.option("--imu-frame", type=click.Choice(["flu", "frd"]), help="Overrule what is found."),
+    click.option(
+        "--extrinsics",
+        type=click.Choice(["imu_T_cam", "cam_T_imu", "mixed"]),
+        help="Overrule what is found.",
+    ),
+)
+TOLD = (
+    *SCENE,
+    *CONVENTION,
+    click.option("--noise-pixel-px", type=POSITIVE, help="Sigma a filter is told, pixels."),
+    click.option("--noise-velocity", type=POSITIVE, help="Sigma a filter is told, m/s."),
+    click.option("--noise-angular", type=POSITIVE, help="Sigma a filter is told, rad/s."),
+    click.option("--gate", type=Gate(), help="Chi-square gate, or none."),
+)
+
+
+def options(*options: Callable[..., Any]) -> Callable[..., Any]:
+    """Decorate a verb with options, in the order given."""
+
+    def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
+        for option in reversed((*options, JSON, DEBUG)):
+            function = option(function)
+        return function
+
+    return decorate
+
+
+def open_dataset(path: Path, told: Mapping[str, Any]) -> "Dataset":
+    """Open a source and say on standard error what its reader found."""
+    from simbench.source import Told, open_source
+
+    dataset = open_source(path, Told(**told))
+    for note in dataset.notes:
+        click.echo(note, err=True)
+    return dataset

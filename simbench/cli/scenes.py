@@ -1,0 +1,71 @@
+"""The verbs that make and run scenes, and look at files."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from simbench.cli.options import CONVENTION, OUT, SCENE, TOLD, open_dataset, options
+from simbench.printing import print_json, progress, show
+
+if TYPE_CHECKING:
+    from simbench.run import RunRecord
+
+
+@click.command()
+@click.argument("scenario", type=click.Path(path_type=Path))
+@options(*SCENE, OUT)
+def generate(scenario: Path, out: Path, as_json: bool, **told: Any) -> None:
+    """Simulate a scene: write OUT/NAME.npz and OUT/NAME.mcap."""
+    from simbench.info import describe
+    from simbench.outputs import write_dataset
+
+    dataset = open_dataset(scenario, told)
+    paths = write_dataset(dataset, out)
+    show(describe(dataset) | {"files": list(map(str, paths))}, as_json)
+
+
+@click.command()
+@click.argument("source", type=click.Path(path_type=Path))
+@click.option("--filter", "names", multiple=True, help="A name, or package.module:factory.")
+@options(*TOLD, OUT)
+def run(source: Path, names: tuple[str, ...], out: Path, as_json: bool, **told: Any) -> None:
+    """Run a filter over a scene, a dataset or a recording, and measure it.
+
+    Writes OUT/NAME.FILTER.mcap, .json (metrics), .tum (estimate) and pictures. Without --filter the
+    filter is slam, and one more picture shows it beside the paper's other two estimators.
+    """
+    from simbench.filters import resolve
+    from simbench.outputs import record_run, write_comparison
+    from simbench.run import run as run_filter
+
+    factories = {name: resolve(name) for name in names or ("slam",)}
+    dataset = open_dataset(source, told)
+    records: list[RunRecord] = []
+    results = []
+    for name, factory in factories.items():
+        with progress(name, len(dataset)) as on_step:
+            record, values, paths = record_run(dataset, name, factory, out, on_step)
+        records.append(record)
+        results.append((values, paths))
+    if not names and dataset.sightings is not None:
+        others = ("dead-reckoning", "mapping")
+        records = [*(run_filter(dataset, resolve(o), name=o) for o in others), *records]
+    if len(records) > 1:
+        results[-1][1].append(write_comparison(records, out))
+    if as_json:
+        print_json([v for v, _ in results] if len(results) > 1 else results[0][0])
+    else:
+        for values, paths in results:
+            show(values | {"files": list(map(str, paths))}, as_json=False)
+
+
+@click.command()
+@click.argument("file", type=click.Path(path_type=Path))
+@options(*CONVENTION)
+def info(file: Path, as_json: bool, **told: Any) -> None:
+    """Say what a file is: sizes, rates, statistics, convention, what is wrong with it."""
+    from simbench.info import info as describe_file
+    from simbench.source import Told
+
+    show(describe_file(file, Told(**told)), as_json)
