@@ -24,11 +24,14 @@ without wall-clock figures.
 
 from simbench.mcap.reader import Summary, read_dataset_mcap, summary
 from simbench.mcap.recorder import Recorder, record_to, write_dataset_mcap
+from simbench.mcap.runs import RecordedRun, read_run_mcap
 
 __all__ = [
+    "RecordedRun",
     "Recorder",
     "Summary",
     "read_dataset_mcap",
+    "read_run_mcap",
     "record_to",
     "summary",
     "write_dataset_mcap",

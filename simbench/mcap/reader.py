@@ -16,7 +16,7 @@ from simbench.dataset import Dataset, Origin, RawImu, Sightings, Truth, seconds
 from simbench.errors import DatasetError
 from simbench.mcap import attachments
 from simbench.mcap import messages as m
-from simbench.mcap.recorder import FORMAT_VERSION
+from simbench.mcap.provenance import FORMAT_VERSION
 from vislam.arrays import Array, IntArray
 
 
@@ -49,7 +49,7 @@ def summary(path: Path) -> Summary:
     Raises:
         DatasetError: it cannot be read, is no MCAP, or is damaged.
     """
-    contents = _read(path)
+    contents = read_contents(path)
     times_ns = [ns for messages in contents.messages.values() for ns, _ in messages] or [0]
     return Summary(
         types=contents.types,
@@ -70,8 +70,12 @@ def read_dataset_mcap(path: Path) -> Dataset:
     Raises:
         DatasetError: it cannot be read, is no MCAP, is none of ours, is damaged, or has no frame.
     """
-    contents = _read(path)
-    metadata = contents.metadata.get("simbench")
+    return dataset_of(read_contents(path))
+
+
+def dataset_of(contents: "Contents") -> Dataset:
+    """As `read_dataset_mcap`, of a file that is in memory."""
+    path, metadata = contents.path, contents.metadata.get("simbench")
     if metadata is None:
         raise DatasetError(
             f"{path}: expected a recording made by simbench, got an MCAP of other origin with the "
@@ -92,7 +96,7 @@ def read_dataset_mcap(path: Path) -> Dataset:
 
 
 @dataclass(slots=True, kw_only=True)
-class _Contents:
+class Contents:
     """A file in memory: by topic the type and the messages (log time, CDR), the rest by name."""
 
     path: Path
@@ -111,14 +115,19 @@ class _Contents:
         return np.array([ns - epoch_ns for ns, _ in self.messages[topic]], np.int64)
 
 
-def _read(path: Path) -> _Contents:
+def read_contents(path: Path) -> Contents:
+    """The whole records of a file, ours or not.
+
+    Raises:
+        DatasetError: it cannot be read, is no MCAP, or is damaged.
+    """
     try:
         data = path.read_bytes()
     except OSError as error:
         raise DatasetError(f"{path}: cannot be read: {error.strerror or error}.") from error
     if not data.startswith(MCAP0_MAGIC):
         raise DatasetError(f"{path}: expected an MCAP file, got one that starts with {data[:8]!r}.")
-    contents = _Contents(path=path, finished=data.endswith(MCAP0_MAGIC) and len(data) > 8)
+    contents = Contents(path=path, finished=data.endswith(MCAP0_MAGIC) and len(data) > 8)
     reader = StreamReader(
         io.BytesIO(data[: _end_of_whole_records(data)]), validate_crcs=True, record_size_limit=None
     )
@@ -149,7 +158,7 @@ def _end_of_whole_records(data: bytes) -> int:
 
 
 def _take(
-    record: McapRecord, contents: _Contents, schemas: dict[int, str], topics: dict[int, str]
+    record: McapRecord, contents: Contents, schemas: dict[int, str], topics: dict[int, str]
 ) -> None:
     """Put a record where it belongs."""
     match record:
@@ -168,7 +177,7 @@ def _take(
             contents.attachments[record.name] = record.data
 
 
-def _dataset(contents: _Contents, metadata: dict[str, str]) -> Dataset:
+def _dataset(contents: Contents, metadata: dict[str, str]) -> Dataset:
     told = attachments.load_told(contents.attachments["calibration.json"])
     true_calibration = told.pop("true_calibration")
     epoch_ns = int(metadata["epoch_ns"])
@@ -213,7 +222,7 @@ def _sightings(features: list[m.Message]) -> Sightings:
     )
 
 
-def _imu(contents: _Contents, epoch_ns: int, true_biases: dict[str, Array | None]) -> RawImu | None:
+def _imu(contents: Contents, epoch_ns: int, true_biases: dict[str, Array | None]) -> RawImu | None:
     readings = contents.decoded("/imu0")
     if not readings:
         return None
@@ -226,7 +235,7 @@ def _imu(contents: _Contents, epoch_ns: int, true_biases: dict[str, Array | None
     )
 
 
-def _origin(contents: _Contents, metadata: dict[str, str]) -> Origin | None:
+def _origin(contents: Contents, metadata: dict[str, str]) -> Origin | None:
     if not metadata["seed"]:
         return None
     return Origin(
