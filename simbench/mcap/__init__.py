@@ -10,18 +10,28 @@ left and the right camera in optical axes, ``base_link_gt`` is the body in truth
 | `/tf_static`, `/ground_truth/path`, `/ground_truth/landmarks` | once, at the start |
 | `/cam0/camera_info`, `/cam1/camera_info`, `/stereo/features`, `/twist` | each frame |
 | `/imu0` | each raw sample |
+| `/cam0/image/compressed`, `/cam1/image/compressed` | at most 20 a second: the features, drawn |
 | `/tf`, `/ground_truth/odometry`, `/ground_truth/pose` | each frame |
 | `/estimate/odometry`, `/estimate/pose` | each frame; covariance about the axes of ``map`` |
 | `/estimate/path` | at most once a second |
 | `/estimate/landmarks`, `/estimate/landmark_markers` | the same, and the whole map at the end |
 | `/consistency/nees`, `/consistency/nis` | each frame that has one, with its 95 % band |
+| `/smoothed/odometry`, `/smoothed/pose`, `/smoothed/path` | at the end, where the filter smooths |
+
+In the pictures a feature is green where the filter used it, red where it refused it, white where it
+did not test it. Smoothed poses are stamped with the time of their frame and logged at the end: only
+then were they known, and log times stay in order. `simbench_msgs` beside this file is a ROS package
+of our two own types: with it built, ``ros2 bag play`` and ``ros2 topic echo`` show them.
+`layout.json` is a layout of these topics for Foxglove and Lichtblick.
 
 A metadata record ``simbench`` says what the file is. It stands at the start with ``finished`` as
-``false`` and again at the end with ``true``: the last one counts. Attachments: what a filter is
-told, with every digit, as ``calibration.json``; ``truth.npz``; ``scenario.yaml``; ``metrics.json``,
-without wall-clock figures.
+``false`` and again at the end with ``true``: the last one counts. With the attachments it holds
+all that it takes to make the same numbers again: ``simbench run RECORD.mcap``. Attachments: what a
+filter is told, with every digit, as ``calibration.json``; ``truth.npz``; ``scenario.yaml``;
+``metrics.json``, without wall-clock figures.
 """
 
+from simbench.mcap.bag import write_bag_directory
 from simbench.mcap.reader import Summary, read_dataset_mcap, summary
 from simbench.mcap.recorder import Recorder, record_to, write_dataset_mcap
 from simbench.mcap.runs import RecordedRun, read_run_mcap
@@ -34,5 +44,6 @@ __all__ = [
     "read_run_mcap",
     "record_to",
     "summary",
+    "write_bag_directory",
     "write_dataset_mcap",
 ]

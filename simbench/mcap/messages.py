@@ -6,6 +6,7 @@ constants came in. So a reader of any of these releases reads them, with its own
 """
 
 from functools import cache
+from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -14,32 +15,14 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from scipy.spatial.transform import Rotation
 
 from vislam.arrays import Array, BoolArray, IntArray
-from vislam.types import Calibration, StereoFrame
+from vislam.camera import StereoRig
+from vislam.types import StereoFrame
 
-#: Our own types. Pixels are float64, so that a filter gets back what was written.
+#: Our own types, a ROS package to build beside these files.
+INTERFACES = Path(__file__).with_name("simbench_msgs")
 DEFINITIONS = {
-    # Parallel arrays; a coordinate that is not seen is NaN. LAST: no later frame holds the track.
-    "simbench_msgs/msg/StereoFeatures": """
-        uint8 LAST=1
-        std_msgs/Header header
-        uint32[] track_id
-        float64[] u0
-        float64[] v0
-        float64[] u1
-        float64[] v1
-        float64[4] sigma_px
-        uint8[] flags
-        """,
-    # A value that is chi-square with dof degrees where the filter is consistent, and a band for it.
-    "simbench_msgs/msg/Consistency": """
-        std_msgs/Header header
-        string name
-        float64 value
-        uint32 dof
-        float64 lower
-        float64 upper
-        bool inside
-        """,
+    f"simbench_msgs/msg/{path.stem}": path.read_text(encoding="utf-8")
+    for path in sorted(INTERFACES.glob("msg/*.msg"))
 }
 
 #: A message; its class is made by rosbags from the definition.
@@ -205,15 +188,14 @@ def imu(ns: int, gyro: Array, accel: Array) -> Message:
     )
 
 
-def camera_info(ns: int, calibration: Calibration, *, right: bool) -> Message:
-    """The intrinsics of the left or the right camera."""
-    rig = calibration.rig
-    width, height = rig.image_px or (0, 0)
+def camera_info(ns: int, rig: StereoRig, size_px: tuple[int, int], *, right: bool) -> Message:
+    """The intrinsics of the left or the right camera; width and height are zero where unknown."""
+    width, height = size_px
     translation = [[-rig.fx_px * rig.baseline_m if right else 0.0], [0.0], [0.0]]
     return make(
         "sensor_msgs/CameraInfo",
         header(ns, "cam1" if right else "cam0"),
-        *(int(height), int(width), "plumb_bob", np.zeros(5)),
+        *(height, width, "plumb_bob", np.zeros(5)),
         *(rig.K.ravel(), np.eye(3).ravel(), np.hstack([rig.K, translation]).ravel()),
         *(0, 0, make("sensor_msgs/RegionOfInterest", 0, 0, 0, 0, False)),
     )
@@ -230,6 +212,12 @@ def features(ns: int, frame: StereoFrame, sigma_px: Array) -> Message:
         np.asarray(sigma_px, float),
         np.where(frame.last, LAST, 0).astype(np.uint8),
     )
+
+
+def compressed_image(ns: int, frame_id: str, png: bytes) -> Message:
+    """A picture of a camera."""
+    data = np.frombuffer(png, np.uint8)
+    return make("sensor_msgs/CompressedImage", header(ns, frame_id), "png", data)
 
 
 def of_features(message: Message) -> tuple[IntArray, Array, BoolArray]:

@@ -4,44 +4,38 @@ from bisect import bisect_right
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from functools import cache
-from importlib.metadata import version
 from pathlib import Path
+from types import MappingProxyType
 from typing import IO, Any
 
 import numpy as np
 from mcap.writer import Writer
 
-from simbench import __version__
 from simbench.dataset import Dataset, Truth
-from simbench.errors import DatasetError
 from simbench.files import replacing
-from simbench.mcap import attachments
+from simbench.mcap import attachments, pictures
 from simbench.mcap import messages as m
+from simbench.mcap.axes import covariance_about_map_axes
+from simbench.mcap.provenance import LIBRARY, provenance
+from simbench.mcap.times import SECOND_NS, epoch_ns, spaced
 from simbench.metrics import chi_square_band, nees
 from simbench.run import RunRecord, Step
-from vislam.arrays import Array
-from vislam.lie import se3, so3
-from vislam.types import Belief
+from vislam.types import Belief, Innovation, StereoFrame
 
-FORMAT_VERSION = 1
-LIBRARY = f"simbench {__version__}; mcap {version('mcap')}; rosbags {version('rosbags')}"
+#: Written once.
+LATCHED = {"/tf_static", "/ground_truth/path", "/ground_truth/landmarks", "/smoothed/path"}
 
-#: Written once, at the start.
-LATCHED = {"/tf_static", "/ground_truth/path", "/ground_truth/landmarks"}
-
-SECOND_NS = 10**9
-#: 2020-01-01, added to simulated times: a stamp of zero means "no time" to ROS.
-EPOCH_NS = 1_577_836_800 * SECOND_NS
-#: From here on (2001-09-09) times are Unix time already.
-FIRST_UNIX_NS = 10**9 * SECOND_NS
-#: The seconds of a ROS stamp are an int32.
-END_OF_TIME_NS = 2**31 * SECOND_NS
-#: Of central differences of a chart, in metres and radians.
-STEP = 1e-5
+#: Features are drawn at most this often.
+PICTURE_SPACING_NS = SECOND_NS // 20
 
 
 @contextmanager
-def record_to(path: Path, dataset: Dataset, filter_name: str | None = None) -> Iterator["Recorder"]:
+def record_to(
+    path: Path,
+    dataset: Dataset,
+    filter_name: str | None = None,
+    options: Mapping[str, Any] = MappingProxyType({}),
+) -> Iterator["Recorder"]:
     """Open a recording; it stands at `path` once the block has succeeded.
 
     Until then it is called `path` with ``.partial`` behind it and is on disk up to the last
@@ -55,13 +49,14 @@ def record_to(path: Path, dataset: Dataset, filter_name: str | None = None) -> I
         path: of the file.
         dataset: the data, and the truth where it is known.
         filter_name: whose run is recorded; None for a dataset alone.
+        options: of the run, beside what the dataset says: values that JSON holds.
 
     Raises:
         DatasetError: a time of the dataset is no ROS stamp.
         OutputError: the operating system refused.
     """
     with replacing(path) as partial, partial.open("wb") as stream:
-        recorder = Recorder(stream, dataset, filter_name)
+        recorder = Recorder(stream, dataset, filter_name, options)
         yield recorder
         recorder.close()
 
@@ -80,23 +75,34 @@ def write_dataset_mcap(path: Path, dataset: Dataset) -> None:
 class Recorder:
     """A recording in the making; `record_to` gives one."""
 
-    def __init__(self, stream: IO[bytes], dataset: Dataset, filter_name: str | None) -> None:
+    def __init__(
+        self,
+        stream: IO[bytes],
+        dataset: Dataset,
+        filter_name: str | None,
+        options: Mapping[str, Any],
+    ) -> None:
         """Write all that is known before the first frame."""
-        imu = dataset.imu
+        imu, offset_ns = dataset.imu, epoch_ns(dataset)
         self._dataset, self._filter = dataset, filter_name
-        self._epoch_ns = _epoch_ns(dataset)
-        self._stamps_ns: list[int] = (dataset.times_ns + self._epoch_ns).tolist()
-        self._imu_ns: list[int] = [] if imu is None else (imu.times_ns + self._epoch_ns).tolist()
+        self._made_by = provenance(dataset, filter_name, options, offset_ns)
+        self._stamps_ns: list[int] = (dataset.times_ns + offset_ns).tolist()
+        self._imu_ns: list[int] = [] if imu is None else (imu.times_ns + offset_ns).tolist()
         self._imu_written = 0
         self._start_ns = min(self._stamps_ns[:1] + self._imu_ns[:1])
         self._flush_ns = self._start_ns + SECOND_NS
-        self._slow_frames = _slow_frames(self._stamps_ns)
+        self._slow_frames = spaced(self._stamps_ns, _path_spacing_ns(self._stamps_ns))
+        self._size_px = pictures.size_px(dataset)
+        drawn = dataset.sightings is not None and all(self._size_px)
+        self._drawn_frames = spaced(self._stamps_ns, PICTURE_SPACING_NS) if drawn else set[int]()
         self._estimated_path: list[m.Message] = []
         self._true_path: list[m.Message] = []
         self._channels: dict[str, Any] = {}
         self._schemas: dict[str, Any] = {}
         self._cameras = {
-            f"/cam{i}/camera_info": m.camera_info(0, dataset.calibration, right=bool(i))
+            f"/cam{i}/camera_info": m.camera_info(
+                0, dataset.calibration.rig, self._size_px, right=bool(i)
+            )
             for i in (0, 1)
         }
         # Some methods of Writer carry no types. Its check sum over all finds damage to attachments.
@@ -104,27 +110,32 @@ class Recorder:
         self._writer.start("ros2", LIBRARY)
         self._write_head()
 
-    def frame(self, frame: int) -> None:
-        """Write the readings and the truth of a frame."""
+    def frame(self, frame: int, innovation: Innovation | None = None) -> None:
+        """Write the readings and the truth of a frame; the pictures show what a filter used."""
         ns = self._stamps_ns[frame]
         if ns >= self._flush_ns:
             self._writer.flush()
             self._flush_ns += SECOND_NS * (1 + (ns - self._flush_ns) // SECOND_NS)
         self._write_imu(until=bisect_right(self._imu_ns, ns))
         self._write_readings(ns, frame)
+        if frame in self._drawn_frames:
+            self._write_pictures(ns, self._dataset.frame(frame), innovation)
         if self._dataset.truth is not None:
             self._write_truth(ns, frame, self._dataset.truth)
 
     def step(self, step: Step) -> None:
         """Write a frame and what the filter made of it: the `on_step` of a run."""
         ns = self._stamps_ns[step.frame]
-        self.frame(step.frame)
+        self.frame(step.frame, step.innovation)
         self._write_estimate(ns, step)
         self._write_consistency(ns, step)
 
     def finish(self, record: RunRecord, metrics: Mapping[str, Any]) -> None:
-        """Write what is known at the end of a run: the whole map, and the metrics."""
-        self._write_map(self._stamps_ns[record.steps[-1].frame], record.final)
+        """Write what is known at the end of a run: the whole map, smoothed poses, the metrics."""
+        end_ns = self._stamps_ns[record.steps[-1].frame]
+        self._write_map(end_ns, record.final)
+        if record.smoothed is not None:
+            self._write_smoothed(end_ns, record.smoothed)
         self._attach("metrics.json", "application/json", attachments.dump_metrics(metrics))
 
     def close(self) -> None:
@@ -183,6 +194,12 @@ class Recorder:
         velocity = m.twist(dataset.linear_velocity[frame], dataset.angular_velocity[frame])
         self._write("/twist", ns, m.twist_stamped(ns, velocity, covariance))
 
+    def _write_pictures(self, ns: int, frame: StereoFrame, innovation: Innovation | None) -> None:
+        fate = pictures.fates(frame, innovation)
+        for i in (0, 1):
+            png = pictures.draw(frame.pixels[:, 2 * i : 2 * i + 2], fate, self._size_px)
+            self._write(f"/cam{i}/image/compressed", ns, m.compressed_image(ns, f"cam{i}", png))
+
     def _write_truth(self, ns: int, frame: int, truth: Truth) -> None:
         stamped = self._true_path[frame]
         velocity = m.twist(truth.linear_velocity[frame], truth.angular_velocity[frame])
@@ -192,16 +209,33 @@ class Recorder:
         self._write("/ground_truth/pose", ns, stamped)
 
     def _write_estimate(self, ns: int, step: Step) -> None:
-        dataset, i = self._dataset, step.frame
-        at, covariance = m.pose(step.belief.T_world_imu), covariance_about_map_axes(step.belief)
-        velocity = m.twist(dataset.linear_velocity[i], dataset.angular_velocity[i])
+        stamped = self._write_poses("/estimate", ns, ns, step.frame, step.belief)
+        at = stamped.pose
         self._write("/tf", ns, m.transforms(ns, m.Frame("odom", "base_link", at)))
-        self._write("/estimate/odometry", ns, m.odometry(ns, "base_link", at, covariance, velocity))
-        self._write("/estimate/pose", ns, m.pose_with_covariance_stamped(ns, at, covariance))
-        self._estimated_path.append(m.pose_stamped(ns, at))
-        if i in self._slow_frames:
+        self._estimated_path.append(stamped)
+        if step.frame in self._slow_frames:
             self._write("/estimate/path", ns, m.path(ns, self._estimated_path))
             self._write_map(ns, step.belief)
+
+    def _write_smoothed(self, log_ns: int, beliefs: tuple[Belief, ...]) -> None:
+        """Stamped with the time of their frames, logged when they became known."""
+        path = [
+            self._write_poses("/smoothed", log_ns, self._stamps_ns[frame], frame, belief)
+            for frame, belief in enumerate(beliefs)
+        ]
+        self._write("/smoothed/path", log_ns, m.path(log_ns, path))
+
+    def _write_poses(
+        self, prefix: str, log_ns: int, ns: int, frame: int, belief: Belief
+    ) -> m.Message:
+        """Write the odometry and the pose of a belief; the pose without covariance."""
+        dataset, at = self._dataset, m.pose(belief.T_world_imu)
+        covariance = covariance_about_map_axes(belief)
+        velocity = m.twist(dataset.linear_velocity[frame], dataset.angular_velocity[frame])
+        odometry = m.odometry(ns, "base_link", at, covariance, velocity)
+        self._write(f"{prefix}/odometry", log_ns, odometry)
+        self._write(f"{prefix}/pose", log_ns, m.pose_with_covariance_stamped(ns, at, covariance))
+        return m.pose_stamped(ns, at)
 
     def _write_map(self, ns: int, belief: Belief) -> None:
         ids, points, covariances = belief.ids, belief.landmarks, belief.landmark_covariances
@@ -244,38 +278,7 @@ class Recorder:
         self._writer.add_attachment(0, self._start_ns, name, media_type, data)
 
     def _write_metadata(self, *, finished: bool) -> None:
-        origin = self._dataset.origin
-        metadata = {
-            "format_version": FORMAT_VERSION,
-            "version": __version__,
-            "scenario": self._dataset.name,
-            "seed": origin.seed if origin else "",
-            "run": origin.run if origin else "",
-            "origin_version": origin.version if origin else "",
-            "filter": self._filter or "",
-            "epoch_ns": self._epoch_ns,
-            "finished": str(finished).lower(),
-        }
-        self._writer.add_metadata("simbench", {key: str(value) for key, value in metadata.items()})
-
-
-def covariance_about_map_axes(belief: Belief) -> Array:
-    """The pose covariance as ROS has it: of p_true - p and of a small turn about the map's axes.
-
-    Zeros where the filter does not estimate the pose. The error in the belief's own chart is, to
-    first order, J times the one about the map's axes.
-    """
-    if belief.pose_covariance is None:
-        return m.UNKNOWN_COVARIANCE
-    R, p = belief.T_world_imu[:3, :3], belief.T_world_imu[:3, 3]
-    if belief.chart == "right":
-        to_map = np.kron(np.eye(2), R)
-    else:
-        moves = STEP * np.concatenate([np.eye(6), -np.eye(6)])
-        moved = se3.from_rotation_translation(so3.exp(moves[:, 3:]) @ R, p + moves[:, :3])
-        ahead, behind = np.array([belief.pose_error(T) for T in moved]).reshape(2, 6, 6)
-        to_map = np.linalg.inv((ahead - behind).T / (2 * STEP))
-    return to_map @ belief.pose_covariance @ to_map.T
+        self._writer.add_metadata("simbench", self._made_by | {"finished": str(finished).lower()})
 
 
 @cache
@@ -285,28 +288,10 @@ def _band(dof: int) -> tuple[float, float]:
     return float(lower), float(upper)
 
 
-def _slow_frames(stamps_ns: list[int]) -> set[int]:
-    """Frames at least a second apart, the last among them; a hundred of a long run.
+def _path_spacing_ns(stamps_ns: list[int]) -> int:
+    """A second; a hundredth of a long run.
 
-    Each holds the whole path up to itself, which would grow with the square of the run's length.
+    Each path holds all poses up to its own, so that one a second would grow with the square of the
+    run's length.
     """
-    spacing_ns = max(SECOND_NS, (stamps_ns[-1] - stamps_ns[0]) // 100)
-    chosen, next_ns = set(), stamps_ns[-1]
-    for frame in reversed(range(len(stamps_ns))):
-        if stamps_ns[frame] <= next_ns:
-            chosen.add(frame)
-            next_ns = stamps_ns[frame] - spacing_ns
-    return chosen
-
-
-def _epoch_ns(dataset: Dataset) -> int:
-    """What is added to the dataset's times."""
-    epoch_ns = 0 if dataset.times_ns[0] >= FIRST_UNIX_NS else EPOCH_NS
-    times_ns = [dataset.times_ns] + ([] if dataset.imu is None else [dataset.imu.times_ns])
-    for ns in times_ns:
-        if ns.size and not 0 < ns.min() + epoch_ns <= ns.max() + epoch_ns < END_OF_TIME_NS:
-            raise DatasetError(
-                f"{dataset.name}: expected times that a ROS stamp holds, from 0 s on or Unix time "
-                f"up to 2038, got {ns.min() / 1e9} to {ns.max() / 1e9} s; shift them."
-            )
-    return epoch_ns
+    return max(SECOND_NS, (stamps_ns[-1] - stamps_ns[0]) // 100)

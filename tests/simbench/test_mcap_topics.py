@@ -13,7 +13,7 @@ from scipy import stats
 from scipy.spatial.transform import Rotation
 
 from simbench.mcap import messages as written
-from simbench.mcap.recorder import covariance_about_map_axes
+from simbench.mcap.axes import covariance_about_map_axes
 from tests.simbench.recordings import (
     EPOCH_NS,
     FRAMES,
@@ -34,6 +34,8 @@ TYPES = {
     "/twist": "geometry_msgs/msg/TwistWithCovarianceStamped",
     "/cam0/camera_info": "sensor_msgs/msg/CameraInfo",
     "/cam1/camera_info": "sensor_msgs/msg/CameraInfo",
+    "/cam0/image/compressed": "sensor_msgs/msg/CompressedImage",
+    "/cam1/image/compressed": "sensor_msgs/msg/CompressedImage",
     "/stereo/features": "simbench_msgs/msg/StereoFeatures",
     "/ground_truth/odometry": "nav_msgs/msg/Odometry",
     "/ground_truth/pose": "geometry_msgs/msg/PoseStamped",
