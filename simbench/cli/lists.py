@@ -1,24 +1,30 @@
 """The verb that says what there is."""
 
 from collections.abc import Mapping
+from pathlib import Path
 
 import click
 
 from simbench.cli.options import options
 from simbench.printing import print_json
 
-LISTS = ("filters", "checks", "trajectories", "landmarks", "bugs", "schema")
+PACKAGE = Path(__file__).parents[1]
+#: Printed as they are, by their place in the package.
+FILES = {"schema": "scenario/schema.json", "layout": "mcap/layout.json"}
+LISTS = ("filters", "checks", "trajectories", "landmarks", "bugs", *FILES)
 
 
 @click.command("list")
 @click.argument("what", type=click.Choice(LISTS))
 @options()
 def list_(what: str, as_json: bool) -> None:
-    """Say what there is, a line each; schema is the JSON schema of a scene file."""
-    if what == "schema":
-        from simbench.scenario import schema
+    """Say what there is, a line each.
 
-        click.echo(schema.text(), nl=False)
+    schema is the JSON schema of a scene file; layout is a layout of a recording's topics for
+    Foxglove and Lichtblick.
+    """
+    if what in FILES:
+        click.echo((PACKAGE / FILES[what]).read_text(encoding="utf-8"), nl=False)
         return
     table = _table(what)
     if as_json:

@@ -33,13 +33,14 @@ def run(source: Path, names: tuple[str, ...], out: Path, as_json: bool, **told: 
     """Run a filter over a scene, a dataset or a recording, and measure it.
 
     Writes OUT/NAME.FILTER.mcap, .json (metrics), .tum (estimate) and pictures. Without --filter the
-    filter is slam, and one more picture shows it beside the paper's other two estimators.
+    filter is slam, or of a run's recording its own, and makes the same numbers again; and one more
+    picture shows it beside the paper's other estimators.
     """
     from simbench.filters import resolve
-    from simbench.outputs import record_run, write_comparison
+    from simbench.outputs import filter_of, record_run, write_comparison
     from simbench.run import run as run_filter
 
-    factories = {name: resolve(name) for name in names or ("slam",)}
+    factories = {name: resolve(name) for name in names or (filter_of(source),)}
     dataset = open_dataset(source, told)
     records: list[RunRecord] = []
     results = []
@@ -49,8 +50,8 @@ def run(source: Path, names: tuple[str, ...], out: Path, as_json: bool, **told: 
         records.append(record)
         results.append((values, paths))
     if not names and dataset.sightings is not None:
-        others = ("dead-reckoning", "mapping")
-        records = [*(run_filter(dataset, resolve(o), name=o) for o in others), *records]
+        others = {"dead-reckoning", "mapping"} - factories.keys()
+        records = [*(run_filter(dataset, resolve(o), name=o) for o in sorted(others)), *records]
     if len(records) > 1:
         results[-1][1].append(write_comparison(records, out))
     if as_json:
