@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from simbench.dataset import Dataset
+from simbench.errors import InputError
 from simbench.files import file_safe, replacing
 from simbench.metrics import metrics
 from simbench.run import RunRecord, Step, run
@@ -67,6 +68,29 @@ def record_run(
     for suffix, figure in pictures.items():
         figures.save(figure, path(suffix))
     return record, values, [path(s) for s in (".mcap", ".json", ".tum", *pictures)]
+
+
+def filter_of(source: Path) -> str:
+    """The filter that a run over a source takes where nobody names one.
+
+    It is the one that a recording says it was made by, so that the run is repeated; else slam.
+
+    Raises:
+        InputError: the recording names code of the form ``package.module:factory``, which no file
+            may start by itself; or it cannot be read.
+    """
+    from simbench.mcap import summary
+    from simbench.source import Kind, kind_of
+
+    if kind_of(source) is not Kind.RECORDING:
+        return "slam"
+    name = summary(source).metadata.get("filter") or "slam"
+    if ":" in name:
+        raise InputError(
+            f"{source}: made by the filter {name}, code that a file does not start by itself; "
+            f"give a filter: --filter {name}"
+        )
+    return name
 
 
 def write_comparison(records: Sequence[RunRecord], out: Path) -> Path:
