@@ -1,33 +1,44 @@
 """Which frames a foreign dataset means, found from its own data.
 
-The format fixes the names of its keys but not what they hold. Two things differ between files
+The format fixes the names of its keys but not what they hold. Three things differ between files
 that exist:
 
 * what the extrinsics are: `imu_T_cam` (left camera to IMU), `cam_T_imu` (its inverse), or `mixed`
   (the rotation of `cam_T_imu` beside the camera's position in the IMU frame);
 * the IMU frame that they mean: `flu` (x forward, y left, z up), as the velocities, or `frd`
-  (y right, z down), turned by diag(1, -1, -1) against the velocities.
+  (y right, z down), turned by diag(1, -1, -1) against the velocities;
+* the axes of the camera: `optical` (x right, y down, z forward) or `regular` (x forward, y left,
+  z up).
 
-Each of the six readings predicts where the features of a frame are seen in the next one:
-triangulated, moved with the measured twist, projected. The right reading has the smallest error.
+Each reading that a dialect leaves open predicts where the features of a frame are seen in the next
+one: triangulated, moved with the measured twist, projected. The right one has the smallest error.
 A sample may be a mean over the interval, as the format says, or instantaneous, as in real files;
 then the mean of the samples at both frames is nearer. A reading is judged by the better of the two.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, TypeAlias, get_args
 
 import numpy as np
 
 from simbench.dataset import Sightings
+from simbench.scenario.sensors import R_BODY_OPTICAL
 from vislam.arrays import Array, IntArray
 from vislam.camera import MIN_DEPTH_M, StereoRig, Validity, triangulate, validity
 from vislam.lie import se3
 
 ImuFrame: TypeAlias = Literal["flu", "frd"]
 Extrinsics: TypeAlias = Literal["imu_T_cam", "cam_T_imu", "mixed"]
+CameraAxes: TypeAlias = Literal["optical", "regular"]
 
 FLU_FRD = np.diag([1.0, -1.0, -1.0, 1.0])
+REGULAR_OPTICAL = se3.from_rotation_translation(R_BODY_OPTICAL, np.zeros(3))
+
+OPTIONS = (
+    "--extrinsics imu_T_cam|cam_T_imu|mixed, --imu-frame flu|frd and "
+    "--camera-axes optical|regular settle it"
+)
 
 #: Frames that are judged, those that turn fastest: there the readings disagree most. In a file of
 #: 2019, whose two best readings differ by a lever arm alone, the right one predicts 42 of the 50
@@ -41,41 +52,141 @@ MAX_FRAMES = 50
 FALSE_ALARM = 1e-4
 
 
+@dataclass(frozen=True, slots=True)
+class Meaning:
+    """What a file's extrinsics hold.
+
+    Attributes:
+        extrinsics: what the matrix is.
+        imu_frame: the IMU frame that it means.
+        camera_axes: those of the camera that it means.
+    """
+
+    extrinsics: Extrinsics
+    imu_frame: ImuFrame = "flu"
+    camera_axes: CameraAxes = "optical"
+
+    def __str__(self) -> str:
+        """As options and `info` name it, such as ``imu_T_cam/frd`` or ``cam_T_imu/flu/regular``."""
+        regular = "" if self.camera_axes == "optical" else "/regular"
+        return f"{self.extrinsics}/{self.imu_frame}{regular}"
+
+    @classmethod
+    def named(cls, name: str) -> "Meaning":
+        """The inverse of `str`; a frame or axes that are left out are FLU and optical.
+
+        Raises:
+            ValueError: there is none of this name.
+        """
+        words = name.split("/")
+        every = (Extrinsics, ImuFrame, CameraAxes)
+        if len(words) > 3 or any(
+            w not in get_args(kind) for w, kind in zip(words, every, strict=False)
+        ):
+            raise ValueError(
+                "expected imu_T_cam, cam_T_imu or mixed, then /flu or /frd, then /optical or "
+                f"/regular, got {name!r}"
+            )
+        return cls(*words)  # type: ignore[arg-type]
+
+    def T_imu_cam(self, given: Array) -> Array:
+        """Left optical frame to FLU, of a file's matrix, both shape (4, 4)."""
+        T = given.copy() if self.extrinsics == "imu_T_cam" else se3.inverse(given)
+        if self.extrinsics == "mixed":
+            T[:3, 3] = given[:3, 3]
+        if self.camera_axes == "regular":
+            T = T @ REGULAR_OPTICAL
+        return T if self.imu_frame == "flu" else FLU_FRD @ T
+
+    def given(self, T_imu_cam: Array) -> Array:
+        """The file's matrix that means this one: the inverse of `T_imu_cam`."""
+        T = T_imu_cam.copy() if self.imu_frame == "flu" else FLU_FRD @ T_imu_cam
+        if self.camera_axes == "regular":
+            T = T @ REGULAR_OPTICAL.T
+        if self.extrinsics == "imu_T_cam":
+            return T
+        given = se3.inverse(T)
+        if self.extrinsics == "mixed":
+            given[:3, 3] = T[:3, 3]
+        return given
+
+
+#: What may be meant by the keys of the dialects; what the key's name claims stands first.
+UNTIL_2020 = (
+    *(Meaning(e, f) for e in ("cam_T_imu", "imu_T_cam", "mixed") for f in get_args(ImuFrame)),
+)
+FROM_2021 = (
+    *(Meaning(e, f) for e in ("imu_T_cam", "cam_T_imu", "mixed") for f in get_args(ImuFrame)),
+)
+FROM_2025 = (
+    *(Meaning(e, "flu", a) for e in ("cam_T_imu", "imu_T_cam") for a in get_args(CameraAxes)),
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Overruled:
+    """What a user says of a convention; None leaves it to the data."""
+
+    extrinsics: Extrinsics | None = None
+    imu_frame: ImuFrame | None = None
+    camera_axes: CameraAxes | None = None
+
+    def of(self, meanings: Sequence[Meaning]) -> tuple[Meaning, ...]:
+        """The meanings that agree with it; one that is none of them is added as asked."""
+        asked = [
+            Meaning(
+                self.extrinsics or meaning.extrinsics,
+                self.imu_frame or meaning.imu_frame,
+                self.camera_axes or meaning.camera_axes,
+            )
+            for meaning in meanings
+        ]
+        return tuple(dict.fromkeys(asked))
+
+
+NOTHING = Overruled()
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Reading:
     """One way to read a file's extrinsics.
 
     Attributes:
-        extrinsics: what the matrix is.
-        imu_frame: the IMU frame that it means.
+        meaning: what they are taken to be.
         T_imu_cam: what follows, left optical frame to FLU, shape (4, 4).
         frame_errors_px: median distance between predicted and seen features in the left image, for
             each frame judged, infinite where they would be behind the camera; shape (F,).
     """
 
-    extrinsics: Extrinsics
-    imu_frame: ImuFrame
+    meaning: Meaning
     T_imu_cam: Array
     frame_errors_px: Array
 
     @property
     def name(self) -> str:
-        """As the options name it, such as ``imu_T_cam/frd``."""
-        return f"{self.extrinsics}/{self.imu_frame}"
+        """That of its meaning."""
+        return str(self.meaning)
 
     @property
     def error_px(self) -> float:
         """The median over the frames; NaN where no frame could be judged."""
         return float(np.median(self.frame_errors_px)) if len(self.frame_errors_px) else np.nan
 
+    def better_frames(self, other: "Reading") -> int:
+        """How many frames it predicts better."""
+        return int(np.count_nonzero(self.frame_errors_px < other.frame_errors_px))
+
     def beats(self, other: "Reading") -> bool:
         """Whether it predicts more frames better than chance would: a one-sided sign test."""
         from scipy.special import bdtrc
 
-        better = np.count_nonzero(self.frame_errors_px < other.frame_errors_px)
-        worse = np.count_nonzero(self.frame_errors_px > other.frame_errors_px)
+        better, worse = self.better_frames(other), other.better_frames(self)
         # bdtrc(k, n, p) is the probability of more than k successes
         return bool(better > worse and bdtrc(better - 1, better + worse, 0.5) < FALSE_ALARM)
+
+    def same_as(self, other: "Reading") -> bool:
+        """Whether both mean one matrix."""
+        return np.allclose(self.T_imu_cam, other.T_imu_cam, rtol=0, atol=1e-9)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -86,7 +197,8 @@ class Convention:
         chosen: the reading.
         readings: all that were compared, the one that the key's name claims first.
         clear: the data tell the chosen reading from every other.
-        note: what was chosen and how clearly, a sentence for the user.
+        note: what was chosen and how clearly, a sentence for the user; where it is not clear, one
+            that starts with "Warning" and says what the data cannot tell.
     """
 
     chosen: Reading
@@ -97,11 +209,10 @@ class Convention:
 
 def resolve(
     given: Array,
-    key: Literal["imu_T_cam", "cam_T_imu"],
+    key: str,
+    meanings: Sequence[Meaning],
     motion: "Motion",
-    *,
-    imu_frame: ImuFrame | None = None,
-    extrinsics: Extrinsics | None = None,
+    overruled: Overruled = NOTHING,
 ) -> Convention:
     """Find the reading of a file's extrinsics that its own features support.
 
@@ -111,70 +222,69 @@ def resolve(
     Args:
         given: the file's matrix, a rigid motion, shape (4, 4).
         key: the name under which it stood.
+        meanings: what it may be, what the key's name claims first.
         motion: what the sensors say of the drive.
-        imu_frame: holds this fixed.
-        extrinsics: holds this fixed.
+        overruled: what the user says.
     """
-    candidates = [
-        (name, frame)
-        for name in sorted(get_args(Extrinsics), key=lambda name: name != key)
-        for frame in get_args(ImuFrame)
-        if extrinsics in (None, name) and imu_frame in (None, frame)
-    ]
     readings = tuple(
         Reading(
-            extrinsics=name,
-            imu_frame=frame,
-            T_imu_cam=(T := _read_as(given, name, frame)),
+            meaning=meaning,
+            T_imu_cam=(T := meaning.T_imu_cam(given)),
             frame_errors_px=motion.prediction_errors(T),
         )
-        for name, frame in candidates
+        for meaning in overruled.of(meanings)
     )
     claimed = readings[0]
     best = min(readings, key=lambda reading: np.nan_to_num(reading.error_px, nan=np.inf))
     chosen = best if best.beats(claimed) else claimed
-    rivals = [
-        reading
-        for reading in readings
-        if not np.allclose(reading.T_imu_cam, chosen.T_imu_cam, rtol=0, atol=1e-9)
-        and not chosen.beats(reading)
-    ]
-    return Convention(
-        chosen=chosen,
-        readings=readings,
-        clear=not rivals,
-        note=_note(key, chosen, readings, rivals),
+    others = [reading for reading in readings if not reading.same_as(chosen)]
+    rivals = [reading for reading in others if not chosen.beats(reading)]
+    start = f"The extrinsics `{key}` are read as {chosen.name}"
+    if len(readings) == 1:
+        note = f"{start}, as asked."
+    elif rivals:
+        note = f"Warning: {start[0].lower()}{start[1:]}, but not clearly: " + _doubt(
+            chosen, readings, rivals, motion
+        )
+    else:
+        note = f"{start}, clearly: {_margin(chosen, others)}({_errors(readings)})."
+    return Convention(chosen=chosen, readings=readings, clear=not rivals, note=note)
+
+
+def _errors(readings: Sequence[Reading]) -> str:
+    each = ", ".join(f"{reading.name} {reading.error_px:.2f} px" for reading in readings)
+    frames = len(readings[0].frame_errors_px)
+    return f"median error of the features predicted over {frames} frames: {each}"
+
+
+def _margin(chosen: Reading, others: Sequence[Reading]) -> str:
+    """By how much the chosen reading wins."""
+    if not others:
+        return ""
+    second = min(others, key=lambda reading: reading.error_px)
+    ratio = second.error_px / max(chosen.error_px, 1e-9)  # of data without noise it may be 0
+    return (
+        f"{ratio:.1f} times nearer than {second.name}, and nearer in "
+        f"{chosen.better_frames(second)} of {len(chosen.frame_errors_px)} frames "
     )
 
 
-def _read_as(given: Array, extrinsics: Extrinsics, imu_frame: ImuFrame) -> Array:
-    T = given if extrinsics == "imu_T_cam" else se3.inverse(given)
-    if extrinsics == "mixed":
-        T[:3, 3] = given[:3, 3]
-    return T if imu_frame == "flu" else FLU_FRD @ T
-
-
-def _note(key: str, chosen: Reading, readings: tuple[Reading, ...], rivals: list[Reading]) -> str:
-    """The choice in a sentence."""
-    start = f"The extrinsics `{key}` are read as {chosen.name}"
-    if len(readings) == 1:
-        return f"{start}, as asked."
-    errors = ", ".join(f"{reading.name} {reading.error_px:.2f} px" for reading in readings)
-    frames = len(chosen.frame_errors_px)
-    if not frames:
-        return (
-            f"{start}: no feature is seen in two frames, so nothing tells the readings apart; "
-            "--imu-frame flu|frd and --extrinsics imu_T_cam|cam_T_imu|mixed overrule it."
-        )
-    if rivals:
-        return (
-            f"{start}, but not clearly: its motion does not tell it from "
-            f"{', '.join(rival.name for rival in rivals)} (median error of the features predicted "
-            f"over {frames} frames: {errors}); --imu-frame flu|frd and "
-            "--extrinsics imu_T_cam|cam_T_imu|mixed overrule it."
-        )
+def _doubt(
+    chosen: Reading, readings: Sequence[Reading], rivals: Sequence[Reading], motion: "Motion"
+) -> str:
+    """What the data cannot tell, the candidates, and the options that settle it."""
+    if not len(chosen.frame_errors_px):
+        return f"no feature is seen in two frames, so nothing tells the readings apart; {OPTIONS}."
+    turned = any(
+        not np.allclose(rival.T_imu_cam[:3, :3], chosen.T_imu_cam[:3, :3], rtol=0, atol=1e-9)
+        for rival in rivals
+    )
+    moved_m, turned_deg = motion.largest_step
     return (
-        f"{start}, clearly (median error of the features predicted over {frames} frames: {errors})."
+        f"its motion does not tell it from {', '.join(rival.name for rival in rivals)}, that is, "
+        f"{'how the camera is turned' if turned else 'where the camera stands'} (the fastest "
+        f"frames turn by up to {turned_deg:.2g} degrees and move by up to {moved_m:.2g} m; "
+        f"{_errors(readings)}); {OPTIONS}."
     )
 
 
@@ -236,6 +346,13 @@ class Motion:
             points=triangulate(rig, sightings.pixels[first]),
             next_px=sightings.pixels[second, :2],
         )
+
+    @property
+    def largest_step(self) -> tuple[float, float]:
+        """The longest way and the largest turn between two frames judged, metres and degrees."""
+        xi = se3.log(self.steps[1])
+        lengths = np.linalg.norm(xi.reshape(-1, 2, 3), axis=-1).max(axis=0)
+        return float(lengths[0]), float(np.rad2deg(lengths[1]))
 
     def prediction_errors(self, T_imu_cam: Array) -> Array:
         """The median error of each frame in pixels, with these extrinsics, shape (F,)."""

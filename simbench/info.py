@@ -27,15 +27,18 @@ def info(path: Path, told: Told = NOTHING) -> dict[str, Any]:
     """
     kind = kind_of(path)
     if kind is Kind.TRAJECTORY:
-        from simbench.tum import read_tum
+        from simbench.files import read_text
+        from simbench.poses import format_of, read_poses
 
         refuse_misplaced(path, kind, told)
-        times_s, T_world_imu = read_tum(path)
+        poses = read_poses(path)
+        times_s = poses.times_s
         return {
             "kind": kind.value,
+            "format": format_of(read_text(path)).value,
             "poses": len(times_s),
-            **_times(times_s),
-            "path_length_m": path_length(T_world_imu),
+            **(_times(times_s) if poses.times else {"duration_s": None, "rate_hz": None}),
+            "path_length_m": path_length(poses.Ts_world_imu),
             "conventions": [],
             "clear": None,
             "notes": [],
@@ -52,8 +55,10 @@ def info(path: Path, told: Told = NOTHING) -> dict[str, Any]:
         described["recording"] = asdict(summary(path))
     dataset = open_source(path, told)
     described |= describe(dataset)
-    if kind is Kind.DATASET and dataset.sightings is not None:
+    if kind is Kind.DATASET:
         described |= _convention(path, told)
+        if not described["clear"]:
+            described["problems"].append("the convention is not clear: see the notes")
     return described
 
 
@@ -162,12 +167,15 @@ def _convention(path: Path, told: Told) -> dict[str, Any]:
     """Each candidate reading of the extrinsics with its median pixel error, and how clear it is."""
     from simbench.npz import read_convention
 
-    convention = read_convention(path, imu_frame=told.imu_frame, extrinsics=told.extrinsics)
+    convention = read_convention(path, told.convention)
+    chosen = convention.chosen
     conventions = [
         {
             "name": reading.name,
-            "median_px": None if np.isnan(reading.error_px) else reading.error_px,
-            "chosen": reading is convention.chosen,
+            "median_px": reading.error_px if np.isfinite(reading.error_px) else None,
+            "chosen": reading is chosen,
+            "frames": len(reading.frame_errors_px),
+            "chosen_better_in": chosen.better_frames(reading),
         }
         for reading in convention.readings
     ]

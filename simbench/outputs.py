@@ -45,7 +45,7 @@ def record_run(
     """
     from simbench import figures
     from simbench.mcap import record_to
-    from simbench.tum import write_tum
+    from simbench.poses import write_tum
 
     def path(suffix: str) -> Path:
         return out / f"{dataset.name}.{file_safe(name)}{suffix}"

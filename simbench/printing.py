@@ -2,7 +2,7 @@
 
 import json
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
@@ -56,15 +56,20 @@ def _lines(values: Mapping[str, Any], indent: str = "") -> Iterator[str]:
             yield from _lines(value, indent + "  ")
         elif isinstance(value, list):
             yield f"{indent}{name}" if value else f"{head}  -"
-            for item in value:
-                text = _compact(item) if isinstance(item, Mapping) else str(item)
+            table = bool(value) and all(isinstance(item, Mapping) for item in value)
+            for text in _table(value) if table else map(str, value):
                 yield f"{indent}  {text}"
         else:
             yield f"{head}  {_text(value)}"
 
 
-def _compact(values: Mapping[str, Any]) -> str:
-    return "  ".join(f"{name} {_text(value)}" for name, value in values.items())
+def _table(rows: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    """A head and a line for each row, in columns."""
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    cells = [names, *([_text(row.get(name)) for name in names] for row in rows)]
+    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+    for line in cells:
+        yield "  ".join(f"{c:{w}}" for c, w in zip(line, widths, strict=True)).rstrip()
 
 
 def _text(value: Any) -> str:

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
 
-from simbench.conventions import Extrinsics, ImuFrame
+from simbench.conventions import CameraAxes, Extrinsics, ImuFrame, Overruled
 from simbench.dataset import Dataset
 from simbench.errors import DatasetError, InputError
 
@@ -19,7 +19,7 @@ class Kind(StrEnum):
 
 
 _MAGIC = {b"PK": Kind.DATASET, b"\x93NUMPY": Kind.DATASET, b"\x89MCAP": Kind.RECORDING}
-_TRAJECTORY_SUFFIXES = (".tum", ".txt")
+_TRAJECTORY_SUFFIXES = (".tum", ".txt", ".kitti", ".csv")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -29,7 +29,7 @@ class Told:
     Attributes:
         seed, run: of a scene.
         overrides: ``key.path=value`` of a scene.
-        imu_frame, extrinsics: the convention of a dataset.
+        imu_frame, extrinsics, camera_axes: the convention of a dataset.
         noise_pixel_px, noise_velocity, noise_angular: what a filter is told of a dataset's noise.
         gate: probability of the gate, or "none" to switch it off.
     """
@@ -39,10 +39,18 @@ class Told:
     overrides: tuple[str, ...] = ()
     imu_frame: ImuFrame | None = None
     extrinsics: Extrinsics | None = None
+    camera_axes: CameraAxes | None = None
     noise_pixel_px: float | None = None
     noise_velocity: float | None = None
     noise_angular: float | None = None
     gate: float | str | None = None
+
+    @property
+    def convention(self) -> Overruled:
+        """What is said of the convention."""
+        return Overruled(
+            extrinsics=self.extrinsics, imu_frame=self.imu_frame, camera_axes=self.camera_axes
+        )
 
 
 NOTHING = Told()
@@ -96,6 +104,7 @@ def _open(path: Path, kind: Kind, told: Told) -> Dataset:
             path,
             imu_frame=told.imu_frame,
             extrinsics=told.extrinsics,
+            camera_axes=told.camera_axes,
             noise_pixel_px=told.noise_pixel_px,
             noise_velocity=told.noise_velocity,
             noise_angular=told.noise_angular,
@@ -121,6 +130,7 @@ def refuse_misplaced(path: Path, kind: Kind, told: Told) -> None:
         Kind.DATASET: {
             "--imu-frame": told.imu_frame,
             "--extrinsics": told.extrinsics,
+            "--camera-axes": told.camera_axes,
             "--noise-pixel-px": told.noise_pixel_px,
             "--noise-velocity": told.noise_velocity,
             "--noise-angular": told.noise_angular,

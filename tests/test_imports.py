@@ -26,7 +26,7 @@ LAYERS = [
     "simbench.limits",
     "simbench.files",
     "simbench.rng",
-    "simbench.tum",
+    "simbench.poses",
     "simbench.scenario",
     "simbench.trajectory",
     "simbench.landmarks",

@@ -26,6 +26,17 @@ FEATURES = "4 M T"
 #: What other dialects call a key.
 FORMER_NAMES = {"angular_velocity": "rotational_velocity", "imu_T_cam": "cam_T_imu"}
 
+#: The keys of the pickled dict of 2025, beside `features`.
+FORMAT_2025 = {
+    "timestamps": "T",
+    "v_t": "T 3",
+    "w_t": "T 3",
+    "K_l": "3 3",
+    "K_r": "3 3",
+    "extL_T_imu": "4 4",
+    "extR_T_imu": "4 4",
+}
+
 #: Our own keys beside them: of each group a file holds all or none.
 TOLD = {
     "prior_world_T_imu": "4 4",

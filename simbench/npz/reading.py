@@ -1,15 +1,25 @@
-"""`.npz` files into datasets, whatever their dialect."""
+"""Files of the format into datasets, whatever their dialect."""
 
 from pathlib import Path
 
 import numpy as np
 
-from simbench.conventions import Convention, Extrinsics, ImuFrame, Motion, resolve
+from simbench.conventions import (
+    NOTHING,
+    CameraAxes,
+    Convention,
+    Extrinsics,
+    ImuFrame,
+    Motion,
+    Overruled,
+    resolve,
+)
 from simbench.dataset import Dataset, Origin, RawImu, Truth
 from simbench.npz.checked import Contents, check
 from simbench.npz.layout import process_scale
 from vislam.arrays import Array
 from vislam.camera import StereoRig
+from vislam.lie import se3
 from vislam.types import Belief, Calibration, Noise, ProcessModel
 
 #: What a filter is told where the file says nothing of noise.
@@ -21,16 +31,18 @@ def read_npz(
     *,
     imu_frame: ImuFrame | None = None,
     extrinsics: Extrinsics | None = None,
+    camera_axes: CameraAxes | None = None,
     noise_pixel_px: float | None = None,
     noise_velocity: float | None = None,
     noise_angular: float | None = None,
 ) -> Dataset:
-    """Read a dataset of any `.npz` dialect.
+    """Read a dataset of any dialect, `.npz` or `.npy`.
 
     Args:
         path: the file; its stem names the dataset.
         imu_frame: overrules the IMU frame that the data show.
         extrinsics: overrules what the data show the extrinsics to be.
+        camera_axes: overrules the axes of the camera that the data show.
         noise_pixel_px: standard deviation of every pixel coordinate that a filter is told.
         noise_velocity: of a sample of linear velocity, m/s.
         noise_angular: of a sample of angular velocity, rad/s.
@@ -41,13 +53,16 @@ def read_npz(
     contents = check(path)
     arrays = contents.arrays
     rig = _rig(contents, arrays["b"])
-    convention = _convention(contents, imu_frame, extrinsics)
+    convention = _convention(
+        contents,
+        Overruled(extrinsics=extrinsics, imu_frame=imu_frame, camera_axes=camera_axes),
+    )
     noise = _noise(contents, noise_pixel_px, noise_velocity, noise_angular)
     notes = [*contents.notes]
     if contents.sightings is None:
         notes.append("There are no features: only dead reckoning has anything to work on.")
-    else:
-        notes.append(convention.note)
+    notes.append(convention.note)
+    notes += _right_camera_note(contents, convention)
     if not contents.told:
         notes.append(_noise_note(noise))
     return Dataset(
@@ -68,25 +83,20 @@ def read_npz(
     )
 
 
-def read_convention(
-    path: Path, *, imu_frame: ImuFrame | None = None, extrinsics: Extrinsics | None = None
-) -> Convention:
+def read_convention(path: Path, overruled: Overruled = NOTHING) -> Convention:
     """Every reading of a file's extrinsics with its error, and the one that `read_npz` chooses.
 
     Args:
         path: the file.
-        imu_frame: leaves only the readings with this IMU frame, as in `read_npz`.
-        extrinsics: leaves only the readings of these extrinsics.
+        overruled: leaves only the readings that agree with it, as in `read_npz`.
 
     Raises:
         DatasetError: the file is no usable dataset.
     """
-    return _convention(check(path), imu_frame, extrinsics)
+    return _convention(check(path), overruled)
 
 
-def _convention(
-    contents: Contents, imu_frame: ImuFrame | None = None, extrinsics: Extrinsics | None = None
-) -> Convention:
+def _convention(contents: Contents, overruled: Overruled) -> Convention:
     arrays = contents.arrays
     motion = Motion.of(
         _rig(contents, arrays["b"]),
@@ -95,12 +105,23 @@ def _convention(
         contents.sightings,
     )
     return resolve(
-        contents.extrinsics,
-        contents.extrinsics_key,
-        motion,
-        imu_frame=imu_frame,
-        extrinsics=extrinsics,
+        contents.extrinsics, contents.extrinsics_key, contents.meanings, motion, overruled
     )
+
+
+def _right_camera_note(contents: Contents, convention: Convention) -> list[str]:
+    """A warning where the chosen reading puts the right camera elsewhere than to the right."""
+    if contents.right_extrinsics is None:
+        return []
+    T_imu_right = convention.chosen.meaning.T_imu_cam(contents.right_extrinsics)
+    right = (se3.inverse(convention.chosen.T_imu_cam) @ T_imu_right)[:3, 3]
+    if right[0] > 0.99 * np.linalg.norm(right):
+        return []
+    return [
+        f"Warning: read as {convention.chosen.name}, the right camera stands at "
+        f"{np.round(right, 3).tolist()} m in the left one's optical frame, not along its x axis: "
+        "the file contradicts this reading."
+    ]
 
 
 def _rig(contents: Contents, baseline_m: Array) -> StereoRig:

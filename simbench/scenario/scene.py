@@ -52,7 +52,7 @@ class Scenario(Section):
 
     @model_validator(mode="after")
     def _ends_with_its_trajectory(self) -> "Scenario":
-        end_s = self.trajectory.end_s
+        end_s = self.trajectory.end_s(self.rate_hz)
         if end_s is None:
             return self
         if "duration_s" not in self.model_fields_set:

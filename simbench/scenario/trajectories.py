@@ -6,9 +6,9 @@ from typing import Annotated, Any, Literal, TypeAlias
 import numpy as np
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from simbench import tum
 from simbench.errors import DatasetError
-from simbench.files import format_rows, read_text
+from simbench.files import read_text
+from simbench.poses import Format, Poses, format_poses, parse_poses
 from simbench.scenario.named import Named
 from simbench.scenario.values import (
     NonNegative,
@@ -48,9 +48,8 @@ class Motion(Section):
     start: WordOr[Literal["identity", "given"], Start] = "identity"
     """The pose at t = 0, to which the whole is moved; `given` leaves it where its keys put it."""
 
-    @property
-    def end_s(self) -> float | None:
-        """Where a motion that does not go on for ever ends, in seconds."""
+    def end_s(self, rate_hz: float) -> float | None:  # noqa: ARG002
+        """Where a motion that does not go on for ever ends, in seconds, in a scene of this rate."""
         return None
 
 
@@ -172,42 +171,51 @@ class Waypoints(Motion):
             )
         return self
 
-    @property
-    def end_s(self) -> float | None:
+    def end_s(self, rate_hz: float) -> float | None:  # noqa: ARG002
         """The last time."""
         return None if self.times_s is None else self.times_s[-1]
 
 
 class TrajectoryFile(Named, Motion):
-    """A recorded trajectory, a TUM file of T_world_imu, through the same spline as waypoints.
+    """A recorded trajectory, a TUM, KITTI or EuRoC file, through the same spline as waypoints.
 
-    The file's first time becomes 0.
+    The file's first time becomes 0. KITTI's files have no times: their poses are frames of the
+    scene, one each 1 / rate_hz.
     """
 
     kind: Literal["file"] = "file"
+    axes: Literal["flu", "optical"] = "flu"
+    """Of the body and the world: x forward, y left, z up, or, as in KITTI's own files, optical."""
     start: WordOr[Literal["identity", "given"], Start] = "given"
 
     @classmethod
     def read(cls, path: Path) -> str:
-        """As the text of a TUM file."""
-        return format_rows(tum.parse_tum(read_text(path), str(path)))
+        """As text without what the scene has no use for: when it began, and further columns."""
+        poses = parse_poses(read_text(path), str(path))
+        if poses.times is None:
+            return format_poses(poses, Format.KITTI)
+        elapsed = tuple(t - poses.times[0] for t in poses.times)
+        return format_poses(Poses(times=elapsed, Ts_world_imu=poses.Ts_world_imu), Format.TUM)
 
     @field_validator("text")
     @classmethod
     def _readable(cls, value: str) -> str:
         try:
-            poses = len(tum.parse_tum(value))
+            poses = len(parse_poses(value).Ts_world_imu)
         except DatasetError as error:
             raise fault("{error}", error=error) from error
         if poses < 2:
             raise fault("expected at least two poses, got one")
         return value
 
-    @property
-    def end_s(self) -> float | None:
+    def poses(self, rate_hz: float) -> Poses:
+        """The poses with their times, in a scene of this rate."""
+        poses = parse_poses(self.text)
+        return poses if poses.times else poses.at_rate(rate_hz)
+
+    def end_s(self, rate_hz: float) -> float | None:
         """The last time, counted from the first."""
-        times_s = tum.parse_tum(self.text)[:, 0]
-        return float(times_s[-1] - times_s[0])
+        return float(self.poses(rate_hz).elapsed_s[-1])
 
 
 TrajectoryKind: TypeAlias = Annotated[

@@ -23,7 +23,7 @@ def make(scenario: Scenario, seed: int) -> Trajectory:
         seed: of the world, for a motion that has chance in it.
     """
     keys = scenario.trajectory
-    given = _given(keys, scenario.duration_s, seed)
+    given = _given(scenario, seed)
     sway = [
         analytic.wave(np.deg2rad(amplitude_deg), np.array(2 * np.pi / period_s), np.zeros(()))
         for amplitude_deg, period_s in (
@@ -38,8 +38,9 @@ def make(scenario: Scenario, seed: int) -> Trajectory:
     return Placed(T_world_given, given, *sway)
 
 
-def _given(keys: kinds.TrajectoryKind, duration_s: float, seed: int) -> Trajectory:
+def _given(scenario: Scenario, seed: int) -> Trajectory:
     """The trajectory as its own keys put it, without sway."""
+    keys, duration_s = scenario.trajectory, scenario.duration_s
     match keys:
         case kinds.Hover():
             return analytic.hover(keys)
@@ -57,4 +58,4 @@ def _given(keys: kinds.TrajectoryKind, duration_s: float, seed: int) -> Trajecto
 
     if isinstance(keys, kinds.Waypoints):
         return splines.waypoints(keys, duration_s)
-    return splines.recorded(keys)
+    return splines.recorded(keys, scenario.rate_hz)

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, RotationSpline
 
-from simbench import tum
+from simbench.scenario.sensors import R_BODY_OPTICAL
 from simbench.scenario.trajectories import TrajectoryFile, Waypoints
 from simbench.trajectory.interface import (
     Derivatives,
@@ -25,7 +25,7 @@ from simbench.trajectory.interface import (
     turn,
 )
 from vislam.arrays import Array
-from vislam.lie import so3
+from vislam.lie import se3, so3
 
 #: Between two waypoints a heading along the path is taken at this many instants.
 HEADINGS = 8
@@ -59,10 +59,13 @@ def waypoints(keys: Waypoints, duration_s: float) -> Trajectory:
     return Level(path, _along(path, times_s))
 
 
-def recorded(keys: TrajectoryFile) -> Trajectory:
-    """Through the poses of a TUM file."""
-    times_s, Ts = tum.poses_of(tum.parse_tum(keys.text))
-    times_s = times_s - times_s[0]
+def recorded(keys: TrajectoryFile, rate_hz: float) -> Trajectory:
+    """Through the poses of a file, in a scene of this rate."""
+    poses = keys.poses(rate_hz)
+    times_s, Ts = poses.elapsed_s, poses.Ts_world_imu
+    if keys.axes == "optical":
+        T_flu_optical = se3.from_rotation_translation(R_BODY_OPTICAL, np.zeros(3))
+        Ts = T_flu_optical @ Ts @ T_flu_optical.T
     return Recorded(natural(times_s, Ts[:, :3, 3]), times_s, Rotation.from_matrix(Ts[:, :3, :3]))
 
 

@@ -13,7 +13,7 @@ from simbench.info import describe, info
 from simbench.npz import write_npz
 from simbench.outputs import write_dataset
 from simbench.source import Kind, Told, open_source
-from simbench.tum import write_tum
+from simbench.poses import write_tum
 
 SCENE = """
 name: small
@@ -87,8 +87,10 @@ def test_a_real_file_without_features_says_so():
     if not path.exists():
         pytest.skip(f"{path} is not there")
     described = info(path)
-    assert described["conventions"] == []
+    assert [c["median_px"] for c in described["conventions"]] == [None] * 6
+    assert not described["clear"]
     assert "no features" in described["problems"][0]
+    assert any("nothing tells the readings apart" in note for note in described["notes"])
 
 
 def test_a_single_pose_or_frame_has_no_rate(files, tmp_path):

@@ -9,7 +9,7 @@ from simbench.outputs import record_run, write_comparison
 from simbench.run import run
 from simbench.scenario import loads
 from simbench.sensors import simulate
-from simbench.tum import read_tum
+from simbench.poses import read_poses
 
 
 @pytest.fixture(scope="module")
@@ -35,9 +35,9 @@ def test_a_run_leaves_a_recording_its_metrics_its_estimate_and_pictures(dataset,
         )
     }
     assert json.loads((tmp_path / "small.slam.json").read_text()) == values
-    times_s, poses = read_tum(tmp_path / "small.slam.tum")
-    assert times_s.tolist() == dataset.times_s.tolist()
-    assert poses == pytest.approx(record.T_world_imu, abs=1e-12)
+    trajectory = read_poses(tmp_path / "small.slam.tum")
+    assert trajectory.times_s.tolist() == dataset.times_s.tolist()
+    assert trajectory.Ts_world_imu == pytest.approx(record.T_world_imu, abs=1e-12)
     assert [step.frame for step in steps] == list(range(len(dataset)))
 
 

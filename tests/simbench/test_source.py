@@ -6,7 +6,7 @@ import pytest
 from simbench.errors import DatasetError, InputError
 from simbench.outputs import write_dataset
 from simbench.source import Kind, Told, kind_of, open_source
-from simbench.tum import write_tum
+from simbench.poses import write_tum
 
 SCENE = """
 name: small

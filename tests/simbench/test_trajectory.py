@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from simbench import trajectory
 from simbench.scenario import TRAJECTORIES, load, loads
-from simbench.tum import write_tum
+from simbench.poses import write_tum
 
 POINTS = [[0.0, 0.0, 0.0], [10.0, 1.0, 0.5], [15.0, 8.0, 1.0], [8.0, 12.0, -1.0], [2.0, 7.0, 0.0]]
 TIMES = [0.0, 5.0, 9.0, 14.0, 20.0]
