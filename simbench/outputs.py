@@ -3,7 +3,7 @@
 import json
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from simbench.dataset import Dataset
 from simbench.errors import InputError
@@ -12,14 +12,19 @@ from simbench.metrics import metrics
 from simbench.run import RunRecord, Step, run
 from vislam.filters import Factory
 
+if TYPE_CHECKING:
+    from simbench.npz import Dialect
 
-def write_dataset(dataset: Dataset, out: Path) -> list[Path]:
-    """Write NAME.npz and NAME.mcap, and return their paths."""
+
+def write_dataset(dataset: Dataset, out: Path, dialect: "Dialect | None" = None) -> list[Path]:
+    """Write NAME.npz (or .npy, as its dialect has it) and NAME.mcap, and return their paths."""
     from simbench.mcap import write_dataset_mcap
     from simbench.npz import write_npz
+    from simbench.npz.dialects import DEFAULT
 
-    npz, mcap = (out / f"{dataset.name}{suffix}" for suffix in (".npz", ".mcap"))
-    write_npz(npz, dataset)
+    dialect = dialect or DEFAULT
+    npz, mcap = (out / f"{dataset.name}{suffix}" for suffix in (dialect.suffix, ".mcap"))
+    write_npz(npz, dataset, dialect)
     write_dataset_mcap(mcap, dataset)
     return [npz, mcap]
 

@@ -46,6 +46,7 @@ LAYERS = [
     "simbench.figures",
     "simbench.source",
     "simbench.info",
+    "simbench.convert",
     "simbench.outputs",
     "simbench.campaign",
     "simbench.compare",

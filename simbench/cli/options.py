@@ -51,6 +51,11 @@ CONVENTION = (
         type=click.Choice(["imu_T_cam", "cam_T_imu", "mixed"]),
         help="Overrule what is found.",
     ),
+    click.option(
+        "--camera-axes",
+        type=click.Choice(["optical", "regular"]),
+        help="Overrule what is found; regular: x forward.",
+    ),
 )
 TOLD = (
     *SCENE,

@@ -14,14 +14,20 @@ if TYPE_CHECKING:
 
 @click.command()
 @click.argument("scenario", type=click.Path(path_type=Path))
+@click.option("--dialect", help="Of the .npz, default 2022; see `simbench convert --help`.")
 @options(*SCENE, OUT)
-def generate(scenario: Path, out: Path, as_json: bool, **told: Any) -> None:
-    """Simulate a scene: write OUT/NAME.npz and OUT/NAME.mcap."""
+def generate(scenario: Path, dialect: str | None, out: Path, as_json: bool, **told: Any) -> None:
+    """Simulate a scene: write OUT/NAME.npz and OUT/NAME.mcap.
+
+    With --dialect 2025 the dataset is OUT/NAME.npy, a pickled dict.
+    """
     from simbench.info import describe
+    from simbench.npz import Dialect
     from simbench.outputs import write_dataset
 
+    written = Dialect.named(dialect) if dialect else None
     dataset = open_dataset(scenario, told)
-    paths = write_dataset(dataset, out)
+    paths = write_dataset(dataset, out, written)
     show(describe(dataset) | {"files": list(map(str, paths))}, as_json)
 
 
