@@ -27,6 +27,40 @@ def progress(name: str, frames: int) -> Iterator[Callable[["Step"], None]]:
 
 
 @contextmanager
+def rows_progress(name: str) -> Iterator[Callable[[int, int], None]]:
+    """A bar with rate and time left on a terminal's standard error, nothing when piped."""
+    if not sys.stderr.isatty():
+        yield lambda _done, _of: None
+        return
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeRemainingColumn,
+    )
+
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("{task.fields[rate]}"),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(name, total=None, rate="")
+
+        def update(done: int, of: int) -> None:
+            speed = bar.tasks[0].speed
+            bar.update(
+                task, completed=done, total=of, rate="" if speed is None else f"{speed:.3g} rows/s"
+            )
+
+        yield update
+
+
+@contextmanager
 def status(text: str) -> Iterator[None]:
     """A line on a terminal's standard error while something runs, nothing when piped."""
     if not sys.stderr.isatty():

@@ -64,8 +64,13 @@ number does not apply, intervals at `confidence`:
  "checks": [{"filter", "name", "outcome", "reason", "statistic", "limit", "failure"}]}
 ```
 
-`study.yaml`: the study, whole (scenes embedded): `simbench campaign OUT/study.yaml` makes all again.
+`study.yaml`: the study, whole with its scenes; `simbench campaign OUT/study.yaml` makes all again.
 
 `journal.jsonl`: a line for each row as it was finished. An interrupted campaign goes on from it; a
 row is run where no line has its case, filter, seed, run and code. Delete it to run all again.
 """
+
+from simbench.campaign.engine import campaign
+from simbench.campaign.study import Case, Plan, Study, load
+
+__all__ = ["Case", "Plan", "Study", "campaign", "load"]

@@ -31,10 +31,10 @@ _EXPECTED = {
 }
 
 
-def fault_of(error: ErrorDetails, document: Document) -> Fault:
-    """One error of pydantic as a fault, with the place in the document."""
+def fault_of(error: ErrorDetails, document: Document, model: type[BaseModel] = Scenario) -> Fault:
+    """One error of pydantic as a fault, with the place in the document that is held for a model."""
     context: dict[str, Any] = error.get("ctx", {})
-    location, models = _locate(error["loc"])
+    location, models = _locate(error["loc"], model)
     match error["type"]:
         case "fault":
             message = context["text"]
@@ -54,10 +54,10 @@ def fault_of(error: ErrorDetails, document: Document) -> Fault:
     return Fault(document.place(location), key_of(location), message)
 
 
-def _locate(loc: Location) -> tuple[Location, list[type[BaseModel]]]:
+def _locate(loc: Location, model: type[BaseModel]) -> tuple[Location, list[type[BaseModel]]]:
     """An error's location without pydantic's tags, and the models that could hold its last key."""
     location: Location = ()
-    models: list[type[BaseModel]] = [Scenario]
+    models: list[type[BaseModel]] = [model]
     holders = models
     for part in loc:
         if isinstance(part, str) and part.startswith("<"):

@@ -1,0 +1,115 @@
+"""The journal of a campaign: every row as it is finished, so that none is made twice.
+
+A line is one row as JSON. Lines are appended and synced a task at a time; where the last is torn,
+it is dropped. In memory there are eight bytes a row: where its line begins.
+"""
+
+import json
+import os
+from array import array
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Any, Self
+
+from simbench.campaign.rows import Row
+from simbench.errors import InputError, OutputError
+
+NAME = "journal.jsonl"
+
+
+class Journal:
+    """The rows of a campaign, by their places in its order.
+
+    Args:
+        path: the file; rows that it holds are taken over.
+        groups: what the rows of a case and filter share, in order.
+        runs: of each group.
+    """
+
+    def __init__(self, path: Path, groups: Iterable[Mapping[str, Any]], runs: int) -> None:
+        self._groups = {_key(group): i for i, group in enumerate(groups)}
+        self._runs = runs
+        self._starts = array("q", [-1]) * (len(self._groups) * runs)
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._file = path.open("a+b")
+        except OSError as error:
+            raise OutputError(f"Cannot write {path}: {error.strerror or error}.") from error
+        self._path = path
+        self._take_over()
+
+    def _take_over(self) -> None:
+        """Find the rows that are there, and drop a torn last line."""
+        self._file.seek(0)
+        end = 0
+        for number, line in enumerate(self._file, 1):
+            if not line.endswith(b"\n"):
+                break
+            try:
+                self._note(json.loads(line), end)
+            except (ValueError, KeyError, TypeError) as error:
+                raise InputError(
+                    f"{self._path}:{number}: expected a row of a campaign, got {line!r:.60}; "
+                    "choose another --out, or delete the file to run all again."
+                ) from error
+            end += len(line)
+        self._file.truncate(end)
+
+    def _note(self, row: Row, start: int) -> None:
+        group = self._groups.get(_key(row))
+        if group is not None and 0 <= row["run"] < self._runs:
+            self._starts[group * self._runs + row["run"]] = start
+
+    def __contains__(self, place: tuple[int, int]) -> bool:
+        """Whether the row of a group and run is there."""
+        group, run = place
+        return self._starts[group * self._runs + run] >= 0
+
+    @property
+    def missing(self) -> int:
+        """How many rows are not there."""
+        return self._starts.count(-1)
+
+    def __len__(self) -> int:
+        """How many rows the campaign has."""
+        return len(self._starts)
+
+    def append(self, rows: Iterable[Row]) -> None:
+        """Add rows, and return when they are on the disk."""
+        try:
+            for row in rows:
+                start = self._file.seek(0, os.SEEK_END)
+                self._file.write(json.dumps(row, allow_nan=False).encode() + b"\n")
+                self._note(row, start)
+            self._file.flush()
+            os.fsync(self._file.fileno())
+        except OSError as error:
+            raise OutputError(
+                f"Cannot write {self._path}: {error.strerror or error}. What is in it is whole; "
+                "free space, and the same command goes on."
+            ) from error
+
+    def row(self, group: int, run: int) -> Row:
+        """The row of a group and run."""
+        self._file.seek(self._starts[group * self._runs + run])
+        row: Row = json.loads(self._file.readline())
+        return row
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._file.close()
+
+
+def _key(row: Mapping[str, Any]) -> tuple[Any, ...]:
+    """What a row's numbers depend on, beside the run."""
+    return row["case"], row["filter"], row["seed"], row["code"]
+
+
+def in_order(journal: Journal, cases: int, filters: int, runs: int) -> Iterator[Row]:
+    """All rows of a complete journal: by case, then run, then filter."""
+    for case in range(cases):
+        for run in range(runs):
+            for each in range(filters):
+                yield journal.row(case * filters + each, run)
