@@ -5,7 +5,8 @@ LAPACK and BLAS; states with batch axes (..., n, n) through numpy's stacked rout
 """
 
 import numpy as np
-from scipy.linalg.lapack import dpotrf, dtrtrs
+from scipy.linalg.blas import dtrsm
+from scipy.linalg.lapack import dpotrf
 from scipy.special import chdtri
 
 from vislam.arrays import Array
@@ -31,7 +32,8 @@ def cholesky(S: Array) -> Array:
 
 
 def _cholesky_one(S: Array) -> Array:
-    L, info = dpotrf(S, lower=1, clean=1)
+    # S is symmetric, so its transpose is the same matrix in the order that LAPACK works in
+    L, info = dpotrf(S.T, lower=1, clean=1)
     if info or not np.isfinite(L[-1:, -1:]).all():
         raise np.linalg.LinAlgError
     return np.asarray(L)
@@ -43,18 +45,8 @@ def solve_lower(L: Array, X: Array) -> Array:
         return np.asarray(np.linalg.solve(L, X))
     if not L.size:
         return X
-    solution, _ = dtrtrs(L, X, lower=1)
-    return np.asarray(solution)
-
-
-def solve_lower_transposed(L: Array, X: Array) -> Array:
-    """L^-T X for a lower triangular L, shapes (..., k, k) and (..., k, n)."""
-    if L.ndim > 2:
-        return np.asarray(np.linalg.solve(transposed(L), X))
-    if not L.size:
-        return X
-    solution, _ = dtrtrs(L, X, lower=1, trans=1)
-    return np.asarray(solution)
+    # X^T L^-T: X^T of an X by rows is in the order that BLAS works in
+    return np.asarray(dtrsm(1.0, L, X.T, side=1, lower=1, trans_a=1).T)
 
 
 def subtract_gram(P: Array, Y_T: Array) -> Array:
@@ -63,7 +55,8 @@ def subtract_gram(P: Array, Y_T: Array) -> Array:
     The product of a matrix with its own transpose is one symmetric rank-k update in BLAS, so the
     result is exactly as symmetric as P.
     """
-    return P - transposed(Y_T) @ Y_T
+    gram: Array = transposed(Y_T) @ Y_T
+    return np.subtract(P, gram, out=gram)
 
 
 def transposed(A: Array) -> Array:

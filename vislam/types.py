@@ -257,7 +257,11 @@ class Task:
         gate: probability of the chi-square gate, or None for no gate.
         trajectory: the true poses at the frames, for a filter that takes the trajectory as given,
             shape (T, 4, 4); None where nobody knows them.
-        memory_bytes: what a backward pass may hold in memory.
+        memory_bytes: what a backward pass may hold in memory; the rest goes to a temporary file. 0
+            for no backward pass: what has left a filter's state is forgotten then.
+        retire_after: frames without a sighting after which a landmark leaves the state, on a stream
+            that does not know the last ones; a later sighting starts a new landmark. None for
+            never.
         smooth: whether the past poses are wanted at the end, from a filter that can give them.
         rng: for a filter that needs chance.
     """
@@ -268,5 +272,6 @@ class Task:
     gate: float | None = None
     trajectory: Array | None = None
     memory_bytes: int = MEMORY_BYTES
+    retire_after: int | None = None
     smooth: bool = False
     rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))

@@ -200,6 +200,7 @@ def _pose_and_map_apart(observation: Observation) -> Correct:
         slots=pose.slots,
         H_pose=pose.H_pose,
         H_map=pose.H_map,
+        r=pose.r,
         L=pose.L,
         whitened=pose.whitened,
         Y_T=pose.Y_T,

@@ -235,7 +235,7 @@ def test_filter_that_never_updates_is_not_praised_for_what_it_does_not_learn(che
 class HidesBirths(EkfSlam):
     def update(self, frame):
         innovation = super().update(frame)
-        self.records[:] = [r for r in self.records if not isinstance(r, Augment)]
+        self.records[:] = [r for r in self.records or [] if not isinstance(r, Augment)]
         return innovation
 
 

@@ -103,7 +103,7 @@ def test_an_exactly_known_map_is_localisation_without_mapping():
     )
     slam = EkfSlam(replace(d.task, prior=prior))
     d.feed(slam)
-    final = slam.finish()
+    final = slam.finish().final
     assert np.array_equal(final.landmarks, d.landmarks)
     assert not final.landmark_covariances.any()
     assert_equal_all_along(d, prior)
@@ -128,7 +128,7 @@ def test_mapping_on_the_truth_is_the_dense_filter_with_a_pose_beyond_doubt(seen,
     d = drive(seen, seed=seed, gate=gate)
     mapping = Mapping.on_truth(d.task)
     d.feed(mapping)
-    final = mapping.finish()
+    final = mapping.finish().final
 
     sure = Noise(process_model="additive", process=np.zeros((6, 6)), sigma_px=d.task.noise.sigma_px)
     certain = Belief(T_world_imu=d.T_world_imu[0], pose_covariance=np.zeros((6, 6)))

@@ -105,7 +105,7 @@ def test_the_order_of_features_in_a_frame_does_not_matter(factory, order, seed):
         replace(f, ids=f.ids[order], pixels=f.pixels[order], last=f.last[order]) for f in d.frames
     ]
     replace(d, frames=turned).feed(other)
-    a, b = one.finish(), other.finish()
+    a, b = one.finish().final, other.finish().final
     assert np.allclose(a.T_world_imu, b.T_world_imu, rtol=0, atol=1e-11)
     assert np.allclose(a.landmarks, b.landmarks, rtol=0, atol=1e-11)
     assert np.allclose(a.landmark_covariances, b.landmark_covariances, rtol=0, atol=1e-11)
@@ -151,7 +151,7 @@ def test_retired_landmarks_leave_the_state_and_stay_in_the_final_map():
     d.feed(slam)
     assert slam.belief().ids.tolist() == []
     assert slam.P.shape == (6, 6)
-    assert slam.finish().ids.tolist() == [0, 1, 2]
+    assert slam.finish().final.ids.tolist() == [0, 1, 2]
 
 
 @given(seed=st.integers(0, 999), k=st.integers(1, 4), spare=st.integers(0, 2))

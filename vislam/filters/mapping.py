@@ -15,7 +15,7 @@ from vislam.filters.dead_reckoning import DeadReckoning
 from vislam.filters.records import diagonal_blocks
 from vislam.filters.roster import Retired, slots_of
 from vislam.gaussian import cholesky, solve_lower, subtract_gram, transposed
-from vislam.types import Belief, Innovation, StereoFrame, Task, Twist
+from vislam.types import Belief, Innovation, Smoothed, StereoFrame, Task, Twist
 
 
 class Poses(Protocol):
@@ -99,9 +99,9 @@ class Mapping:
             joint_covariance=block_diagonal(self.P) if joint else None,
         )
 
-    def finish(self) -> Belief:
+    def finish(self) -> Smoothed:
         """Every landmark there was, by ascending id."""
-        return self._retired.joined_to(self.belief())
+        return Smoothed(final=self._retired.joined_to(self.belief()))
 
     def _correct(self, ids: IntArray, slots: IntArray, pixels: Array) -> Innovation:
         """The paper's III.B.3 for each known landmark of a frame; ids (k,), pixels (..., k, 4)."""

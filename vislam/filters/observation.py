@@ -89,13 +89,13 @@ class Observation:
         """The update that it makes."""
         batch, rows = self.HP.shape[:-2], self.HP.shape[-2]
         L = cholesky(self.S)
-        r = self.r.reshape(*batch, rows, 1)
-        solved = solve_lower(L, np.concatenate([self.HP, r], axis=-1))
+        r = self.r.reshape(*batch, rows)
         return Correct(
             slots=self.slots,
             H_pose=self.H_pose.reshape(*batch, rows, 6),
             H_map=self.H_map,
+            r=r,
             L=L,
-            whitened=solved[..., -1],
-            Y_T=solved[..., :-1],
+            whitened=solve_lower(L, r[..., None])[..., 0],
+            Y_T=solve_lower(L, self.HP),
         )

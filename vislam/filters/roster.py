@@ -15,7 +15,7 @@ def slots_of(state_ids: IntArray, ids: IntArray) -> IntArray:
 
 
 class Retired:
-    """Landmarks that have left the state, as they were when they left."""
+    """Landmarks that have left the state."""
 
     def __init__(self) -> None:
         self._ids: list[IntArray] = []
@@ -29,11 +29,14 @@ class Retired:
         self._covariances.append(covariances)
 
     def joined_to(self, living: Belief) -> Belief:
-        """The belief over these and the living landmarks, by ascending id."""
+        """The belief over these and the living landmarks, by ascending id.
+
+        Of a landmark that came back as a new one, the one added first.
+        """
         ids = np.concatenate([living.ids, *self._ids])
         landmarks = np.concatenate([living.landmarks, *self._landmarks], axis=-2)
         covariances = np.concatenate([living.landmark_covariances, *self._covariances], axis=-3)
-        order = np.argsort(ids, kind="stable")
+        _, order = np.unique(ids, return_index=True)
         return replace(
             living,
             ids=ids[order],

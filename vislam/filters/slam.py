@@ -3,7 +3,9 @@
 In recorded data the last sighting of a landmark is known. A landmark that will not be seen again
 influences nothing that is still to come, so it leaves the joint covariance there: everything that
 stays is exactly what the full filter has, and the cost of a frame depends on the landmarks in
-sight, not on the size of the map.
+sight, not on the size of the map. On a stream, where nobody knows, `Task.retire_after` frames
+without a sighting decide; a landmark that is seen again after that starts as a new one, and what
+stays is exactly what a full filter has that gives it a new name there.
 """
 
 from collections.abc import Callable
@@ -15,6 +17,7 @@ import numpy as np
 from vislam.arrays import Array, BoolArray, IntArray
 from vislam.charts import RIGHT, Chart
 from vislam.filters import model
+from vislam.filters.backward import Kept, Later, past
 from vislam.filters.observation import Observation
 from vislam.filters.records import (
     MAP,
@@ -22,14 +25,13 @@ from vislam.filters.records import (
     Augment,
     Correct,
     Drop,
-    Later,
     Linear,
     Record,
     diagonal_blocks,
 )
 from vislam.filters.roster import Retired, slots_of
 from vislam.filters.tape import Tape
-from vislam.types import Belief, Calibration, Innovation, Noise, StereoFrame, Task, Twist
+from vislam.types import Belief, Calibration, Innovation, Noise, Smoothed, StereoFrame, Task, Twist
 
 
 @dataclass(slots=True)
@@ -108,6 +110,9 @@ class EkfSlam:
     The estimate is `x`; `P` is the covariance of its error (pose, landmarks in the order of `ids`),
     in the chart of `parts`. Every change of `P` is one record of `vislam.filters.records`; who sets
     `records` to a list finds them there.
+
+    Memory: the living landmarks' covariance, and what the backward pass keeps, about 0.1 MB a frame
+    at 60 sightings, within `Task.memory_bytes`.
     """
 
     batched = True
@@ -122,7 +127,9 @@ class EkfSlam:
         self.calibration, self.noise, self.gate = task.calibration, task.noise, task.gate
         self.parts = parts
         self._whitening = parts.whitening(task.noise)
-        self.records: Tape | list[Record] = Tape(task.memory_bytes)
+        self.records: list[Record] | None = None
+        self._past = Tape(task.memory_bytes) if task.memory_bytes else None
+        self._retire_after, self._smooth = task.retire_after, task.smooth
         self._waiting: dict[int, tuple[Array, Array]] = {}
 
         prior = task.prior
@@ -136,6 +143,8 @@ class EkfSlam:
                 covariance = prior.landmark_covariances[..., k, :, :]
                 self._waiting[i] = prior.landmarks[..., k, :], covariance
         self.x = Estimate(T=T, T_first=T, landmarks=landmarks, landmarks_first=landmarks)
+        self._unseen = np.zeros(len(self.ids), np.int64)  # frames since each was sighted
+        self._kept = np.zeros(len(self.ids), bool)  # the way back knows of it
         self.P = np.broadcast_to(P, (*batch, *P.shape[-2:])).copy()
 
     def predict(self, motion: Twist, dt: float) -> None:
@@ -154,6 +163,8 @@ class EkfSlam:
         slots = slots_of(self.ids, frame.ids)
         known, new = usable & (slots >= 0), usable & (slots < 0)
         innovation = self._correct(frame.ids[known], slots[known], frame.pixels[..., known, :])
+        self._unseen += 1
+        self._unseen[slots[known]] = 0
         self._give_birth(frame.ids[new], frame.pixels[..., new, :])
         self._retire(frame.ids[frame.last])
         skipped = ~usable & ~model.unseen(frame.pixels)
@@ -171,22 +182,40 @@ class EkfSlam:
             chart=self.parts.chart.name,
         )
 
-    def finish(self) -> Belief:
+    def finish(self) -> Smoothed:
         """Pose and every landmark there was, by ascending id, as the full filter has them now.
 
-        What later updates say of a landmark that has left comes from one pass back over the
-        records.
+        What later updates say of a landmark that has left, and of a past pose, comes from one pass
+        back over the records.
         """
-        retired, later = Retired(), Later.nothing(self.P)
-        for record in reversed(self.records):
-            if isinstance(record, Drop):
-                retired.add(record.ids, *record.smoothed(later))
-            later = record.backward(later)
-        return retired.joined_to(self.belief())
+        retired, poses, later = Retired(), [], Later.nothing(self.P)
+        for each in reversed(self._past or ()):
+            if isinstance(each, Kept):
+                change, covariance = later.smoothed(each.P, each.rows)
+                moved = change[..., MAP].reshape(each.landmarks.shape)
+                retired.add(
+                    each.ids, each.landmarks + moved, diagonal_blocks(covariance[..., MAP, MAP])
+                )
+                poses.append(self._smoothed(each.T_world_imu, change, covariance))
+            later = later.before(each)
+        final = retired.joined_to(self.belief())
+        return Smoothed(final=final, poses=tuple(reversed(poses)) if self._smooth else ())
+
+    def _smoothed(self, T: Array, change: Array, covariance: Array) -> Belief:
+        chart, no_landmarks = self.parts.chart, np.empty((*T.shape[:-2], 0, 3))
+        T_smoothed, _ = chart.retract(T, no_landmarks, change[..., POSE])
+        return Belief(
+            T_world_imu=T_smoothed,
+            pose_covariance=covariance[..., POSE, POSE].copy(),
+            chart=chart.name,
+        )
 
     def _apply(self, record: Record) -> None:
         self.P = self.parts.change(record, self.P)
-        self.records.append(record)
+        if self.records is not None:
+            self.records.append(record)
+        if self._past is not None:
+            self._past.append(past(record))
 
     def _correct(self, ids: IntArray, slots: IntArray, pixels: Array) -> Innovation:
         """The paper's III.C.5 over the frame's known landmarks; ids (k,), pixels (..., k, 4)."""
@@ -243,16 +272,39 @@ class EkfSlam:
         self.ids = np.concatenate([self.ids, ids])
         x.landmarks = np.concatenate([x.landmarks, landmarks], axis=-2)
         x.landmarks_first = np.concatenate([x.landmarks_first, landmarks], axis=-2)
+        self._unseen = np.concatenate([self._unseen, np.zeros(len(ids), np.int64)])
+        self._kept = np.concatenate([self._kept, np.zeros(len(ids), bool)])
 
-    def _retire(self, ids: IntArray) -> None:
+    def _retire(self, last: IntArray) -> None:
         """Take landmarks that will not be seen again out of the state."""
-        slots = slots_of(self.ids, ids)
-        slots = slots[slots >= 0]
-        x = self.x
-        self._apply(Drop.of(self.P, self.ids[slots], slots, x.landmarks[..., slots, :]))
-        self.ids = np.delete(self.ids, slots)
-        x.landmarks = np.delete(x.landmarks, slots, axis=-2)
-        x.landmarks_first = np.delete(x.landmarks_first, slots, axis=-2)
+        leaves = np.isin(self.ids, last)
+        if self._retire_after is not None:
+            leaves |= self._unseen >= self._retire_after
+        if self._past is not None and (self._smooth or not self._kept[leaves].all()):
+            self._past.append(self._keep())
+        if not leaves.any():
+            return
+        self._apply(Drop.of(self.P.shape[-1], np.flatnonzero(leaves)))
+        x, stays = self.x, ~leaves
+        self.ids, self._unseen, self._kept = self.ids[stays], self._unseen[stays], self._kept[stays]
+        x.landmarks = x.landmarks[..., stays, :]
+        x.landmarks_first = x.landmarks_first[..., stays, :]
+
+    def _keep(self) -> Kept:
+        """Note the state for the way back, which gives the landmarks that it meets here first.
+
+        Noted where a landmark leaves of which no note has been made: the fewest moments that meet
+        every landmark while it lives.
+        """
+        due = np.flatnonzero(~self._kept)
+        self._kept[:] = True
+        return Kept(
+            ids=self.ids[due],
+            slots=due,
+            landmarks=self.x.landmarks[..., due, :],
+            T_world_imu=self.x.T,
+            P=self.P,
+        )
 
 
 #: The paper's own start of a landmark: what it is, inconsistent.

@@ -1,7 +1,7 @@
-"""The records of a run in the order of time, to be read back from the end.
+"""What a run keeps for the way back, in the order of time, to be read from the end.
 
-They take about 0.4 MB a frame at 70 sightings. Up to half a budget is held in memory; what is older
-goes to a temporary file, which is read back in pieces of the same size.
+Up to half a budget is held in memory; what is older goes to a temporary file, which is read back in
+pieces of the same size.
 """
 
 import pickle
@@ -13,7 +13,7 @@ from typing import IO
 
 import numpy as np
 
-from vislam.filters.records import Record
+from vislam.filters.backward import Past
 
 
 class Tape:
@@ -22,20 +22,20 @@ class Tape:
     def __init__(self, budget_bytes: int) -> None:
         """Use at most about so much memory."""
         self._piece_bytes = budget_bytes // 2
-        self._held: list[Record] = []
+        self._held: list[Past] = []
         self._held_bytes = 0
         self._file: IO[bytes] | None = None
         self._pieces: list[int] = []
 
-    def append(self, record: Record) -> None:
-        """Put a record at the end."""
-        self._held.append(record)
-        arrays = (getattr(record, field.name) for field in fields(record))
+    def append(self, past: Past) -> None:
+        """Put it at the end."""
+        self._held.append(past)
+        arrays = (getattr(past, field.name) for field in fields(past))
         self._held_bytes += sum(a.nbytes for a in arrays if isinstance(a, np.ndarray))
         if self._held_bytes > self._piece_bytes:
             self._spool()
 
-    def __reversed__(self) -> Iterator[Record]:
+    def __reversed__(self) -> Iterator[Past]:
         """From the last record to the first."""
         yield from reversed(self._held)
         for start in reversed(self._pieces):
