@@ -22,9 +22,11 @@ class Fate(IntEnum):
 #: Red, green, blue of the background and of each fate; four colours are two bits a pixel.
 PALETTE = bytes.fromhex("141418 ebebeb 3cd25a ff463c")
 _BITS = 2
+#: Outside every image.
+FAR_PX = 2.0**20
 #: Of a side, where only the features say how large an image is; one that is wild says anything.
 MOST_PX = 4096
-_SQUARE = np.stack(np.mgrid[-2:3, -2:3], axis=-1).reshape(-1, 2)
+_SQUARE = np.stack(np.mgrid[-3:4, -3:4], axis=-1).reshape(-1, 2)
 
 
 def fates(frame: StereoFrame, innovation: Innovation | None) -> IntArray:
@@ -45,10 +47,11 @@ def draw(pixels: Array, fate: IntArray, size_px: tuple[int, int]) -> bytes:
         fate: shape (n,).
         size_px: width and height.
     """
-    seen = (pixels != -1).all(axis=-1)
+    seen = ((pixels != -1) & (np.abs(pixels) < FAR_PX)).all(axis=-1)
     width, height = size_px
     picture = np.zeros((height, width), np.uint8)
-    columns, rows = np.rint(pixels[seen, None] + _SQUARE).astype(int).transpose(2, 0, 1)
+    centres = np.rint(pixels[seen]).astype(int)
+    columns, rows = (centres[:, None] + _SQUARE).transpose(2, 0, 1)
     inside = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
     colours = np.broadcast_to(fate[seen, None], inside.shape)
     picture[rows[inside], columns[inside]] = colours[inside]

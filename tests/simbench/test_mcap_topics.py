@@ -46,6 +46,9 @@ TYPES = {
     "/estimate/path": "nav_msgs/msg/Path",
     "/estimate/landmarks": "sensor_msgs/msg/PointCloud2",
     "/estimate/landmark_markers": "visualization_msgs/msg/MarkerArray",
+    "/smoothed/odometry": "nav_msgs/msg/Odometry",
+    "/smoothed/pose": "geometry_msgs/msg/PoseWithCovarianceStamped",
+    "/smoothed/path": "nav_msgs/msg/Path",
     "/consistency/nees": "simbench_msgs/msg/Consistency",
     "/consistency/nis": "simbench_msgs/msg/Consistency",
 }
@@ -53,9 +56,9 @@ FRAME_TOPICS = [
     topic
     for topic in TYPES
     if topic.startswith(("/twist", "/cam", "/stereo"))
-    or topic.endswith(("odometry", "/pose", "/nees"))
+    or (topic.endswith(("odometry", "/pose", "/nees")) and not topic.startswith("/smoothed"))
 ]
-LATCHED = {"/tf_static", "/ground_truth/path", "/ground_truth/landmarks"}
+LATCHED = {"/tf_static", "/ground_truth/path", "/ground_truth/landmarks", "/smoothed/path"}
 
 
 @pytest.fixture(scope="module")
@@ -134,8 +137,8 @@ def test_messages_stand_in_log_time_order_and_are_stamped_with_it(made):
     times = [message.log_time for message in logged]
     assert times == sorted(times)
     assert all(message.publish_time == message.log_time for message in logged)
-    for received in made.topics.values():
-        for log_ns, message in received:
+    for topic, received in made.topics.items():
+        for log_ns, message in received if not topic.startswith("/smoothed") else ():
             for header in headers(message):
                 assert stamp_ns(header) == log_ns
 
@@ -308,6 +311,23 @@ def test_a_long_run_has_about_a_hundred_paths(tmp_path):
     assert len(received[-1][1].poses) == 300
 
 
+def test_smoothed_poses_have_the_time_of_their_frame_and_are_logged_at_the_end(made):
+    stamps = (EPOCH_NS + made.dataset.times_ns).tolist()
+    odometry, poses = made.topics["/smoothed/odometry"], made.topics["/smoothed/pose"]
+    assert {ns for ns, _ in odometry + poses} == {stamps[-1]}
+    for received in (odometry, poses):
+        assert [stamp_ns(m.header) for _, m in received] == stamps
+    for belief, (_, o), (_, p) in zip(made.record.smoothed, odometry, poses, strict=True):
+        close(matrix(o.pose.pose), belief.T_world_imu)
+        close(matrix(p.pose.pose), belief.T_world_imu)
+        close(o.pose.covariance, covariance_about_map_axes(belief).ravel())
+        close(p.pose.covariance, o.pose.covariance)
+    ((log_ns, path),) = made.topics["/smoothed/path"]
+    assert log_ns == stamps[-1]
+    assert [stamp_ns(p.header) for p in path.poses] == stamps
+    close([matrix(p.pose) for p in path.poses], [b.T_world_imu for b in made.record.smoothed])
+
+
 def beliefs_of_the_map(made):
     """The beliefs that the map topics show, in order: the living ones, then the final map."""
     stamps = (EPOCH_NS + made.dataset.times_ns).tolist()
@@ -394,7 +414,9 @@ class ExactStart(Truthful):
 def test_what_a_filter_does_not_estimate_is_absent(tmp_path):
     record_drive(tmp_path / "p.mcap", drive(), PoseOnly)
     topics = messages(tmp_path / "p.mcap")
-    missing = {t for t in TYPES if t.startswith("/consistency") or "estimate/landmark" in t}
+    missing = {
+        t for t in TYPES if t.startswith(("/consistency", "/smoothed")) or "estimate/landmark" in t
+    }
     assert set(topics) == set(TYPES) - missing
     assert not any(m.pose.covariance.any() for _, m in topics["/estimate/pose"])
 
