@@ -141,6 +141,7 @@ class Recorder:
     def close(self) -> None:
         """Write what is left, the mark of a whole recording, and the index."""
         self._write_imu(until=len(self._imu_ns))
+        self._writer.flush()  # else the mark would stand before the last messages
         self._write_metadata(finished=True)
         self._writer.finish()
 
