@@ -67,18 +67,7 @@ def map_axes_error(T_hat: Array, m_hat: Array, T: Array, m_true: Array) -> Array
 
 
 def _run(contents: Contents, dataset: Dataset, name: str) -> RecordedRun:
-    odometry = contents.decoded("/estimate/odometry")[: len(dataset)]
-    poses = [message.pose for message in odometry]
-    Ts, Ps = np.array([_matrix(p.pose) for p in poses]), np.array([p.covariance for p in poses])
-    known = Ps.any()  # zeros throughout say that the pose is not estimated
-    beliefs = [
-        Belief(
-            T_world_imu=T,
-            pose_covariance=P.reshape(6, 6) if known else None,
-            chart=map_axes_error,
-        )
-        for T, P in zip(Ts, Ps, strict=True)
-    ]
+    beliefs = _beliefs(contents, "/estimate/odometry")[: len(dataset)]
     ids, landmarks = _last_map(contents)
     record = RunRecord(
         dataset=dataset,
@@ -86,6 +75,7 @@ def _run(contents: Contents, dataset: Dataset, name: str) -> RecordedRun:
         steps=tuple(Step(frame=i, belief=b, innovation=None) for i, b in enumerate(beliefs)),
         final=replace(beliefs[-1], ids=ids, landmarks=landmarks),
         wall_s=float("nan"),
+        smoothed=tuple(_beliefs(contents, "/smoothed/odometry")) or None,
     )
     stamps = contents.messages["/estimate/odometry"][: len(beliefs)]
     frames = {ns: i for i, (ns, _) in enumerate(stamps)}
@@ -98,6 +88,20 @@ def _run(contents: Contents, dataset: Dataset, name: str) -> RecordedRun:
         nis_dof=nis_dof,
         metrics=json.loads(contents.attachments.get("metrics.json", b"{}")),
     )
+
+
+def _beliefs(contents: Contents, topic: str) -> list[Belief]:
+    """The poses of a topic, with covariances unless they are zero throughout: not estimated."""
+    poses = [message.pose for message in contents.decoded(topic)]
+    known = any(pose.covariance.any() for pose in poses)
+    return [
+        Belief(
+            T_world_imu=_matrix(pose.pose),
+            pose_covariance=pose.covariance.reshape(6, 6) if known else None,
+            chart=map_axes_error,
+        )
+        for pose in poses
+    ]
 
 
 def _matrix(pose: m.Message) -> Array:
