@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -9,7 +10,7 @@ from simbench.dataset import Dataset
 from simbench.errors import InputError
 from simbench.files import file_safe, replacing
 from simbench.metrics import metrics
-from simbench.run import RunRecord, Step, run
+from simbench.run import RunOptions, RunRecord, Step, run
 from vislam.filters import Factory
 
 if TYPE_CHECKING:
@@ -34,6 +35,7 @@ def record_run(
     name: str,
     factory: Factory,
     out: Path,
+    options: RunOptions = RunOptions(),  # noqa: B008 - frozen
     on_step: Callable[[Step], None] = lambda _: None,
 ) -> tuple[RunRecord, dict[str, Any], list[Path]]:
     """Run a filter and write NAME.FILTER.mcap (while it runs), .json, .tum and the figures.
@@ -43,6 +45,7 @@ def record_run(
         name: of the filter.
         factory: makes it.
         out: the directory.
+        options: what is asked of the run besides.
         on_step: called after each frame.
 
     Returns:
@@ -55,13 +58,13 @@ def record_run(
     def path(suffix: str) -> Path:
         return out / f"{dataset.name}.{file_safe(name)}{suffix}"
 
-    with record_to(path(".mcap"), dataset, name) as recorder:
+    with record_to(path(".mcap"), dataset, name, asdict(options)) as recorder:
 
         def both(step: Step) -> None:
             recorder.step(step)
             on_step(step)
 
-        record = run(dataset, factory, name=name, on_step=both)
+        record = run(dataset, factory, name=name, options=options, on_step=both)
         values = metrics(record)
         recorder.finish(record, values)
     write_json(path(".json"), values)
@@ -96,6 +99,22 @@ def filter_of(source: Path) -> str:
             f"give a filter: --filter {name}"
         )
     return name
+
+
+def options_of(source: Path) -> RunOptions:
+    """The options that a recording was made with, so that the run is repeated; else the defaults.
+
+    Raises:
+        InputError: the recording cannot be read.
+    """
+    from simbench.mcap import summary
+    from simbench.source import Kind, kind_of
+
+    if kind_of(source) is not Kind.RECORDING:
+        return RunOptions()
+    told = json.loads(summary(source).metadata.get("options", "{}"))
+    known = {field.name for field in fields(RunOptions)}
+    return RunOptions(**{name: value for name, value in told.items() if name in known})
 
 
 def write_comparison(records: Sequence[RunRecord], out: Path) -> Path:

@@ -1,7 +1,7 @@
 """Drives a filter over a dataset, in time order, and records what it held true at every frame."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -12,7 +12,7 @@ from simbench.errors import FilterFailure
 from simbench.rng import stream
 from vislam.arrays import Array
 from vislam.filters.protocol import Factory
-from vislam.types import Belief, ImuSample, Innovation, Task, Twist
+from vislam.types import MEMORY_BYTES, Belief, ImuSample, Innovation, Task, Twist
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -28,6 +28,22 @@ class Step:
     frame: int
     belief: Belief
     innovation: Innovation | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunOptions:
+    """What is asked of a run beside what its data say.
+
+    Attributes:
+        smooth: whether the past poses are wanted given all data.
+        memory_bytes: what a filter's backward pass may hold in memory (`Task.memory_bytes`).
+        retire_after: feeds the data as a stream, which does not know its last sightings: a landmark
+            leaves the filter after so many frames without one. None to say what is known.
+    """
+
+    smooth: bool = False
+    memory_bytes: int = MEMORY_BYTES
+    retire_after: int | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,6 +73,17 @@ class RunRecord:
         return np.stack([step.belief.T_world_imu for step in self.steps])
 
     @property
+    def as_smoothed(self) -> "RunRecord | None":
+        """The same run with its poses as all data have them; None where they are not known."""
+        if self.smoothed is None:
+            return None
+        steps = tuple(
+            Step(frame=step.frame, belief=belief, innovation=None)
+            for step, belief in zip(self.steps, self.smoothed, strict=True)
+        )
+        return replace(self, steps=steps, smoothed=None)
+
+    @property
     def pose_covariances(self) -> Array | None:
         """Their covariances, shape (T, 6, 6); None where the filter does not estimate the pose."""
         covariances = [step.belief.pose_covariance for step in self.steps]
@@ -74,7 +101,7 @@ class RunRecord:
         )
 
 
-def task_of(dataset: Dataset) -> Task:
+def task_of(dataset: Dataset, options: RunOptions = RunOptions()) -> Task:
     """What a filter is told of a dataset."""
     origin = dataset.origin
     return Task(
@@ -83,6 +110,9 @@ def task_of(dataset: Dataset) -> Task:
         prior=dataset.prior,
         gate=dataset.gate,
         trajectory=None if dataset.truth is None else dataset.truth.T_world_imu,
+        memory_bytes=options.memory_bytes,
+        retire_after=options.retire_after,
+        smooth=options.smooth,
         rng=stream(origin.seed if origin else 0, origin.run if origin else 0, "filter"),
     )
 
@@ -92,6 +122,7 @@ def run(
     factory: Factory,
     *,
     name: str = "filter",
+    options: RunOptions = RunOptions(),
     on_step: Callable[[Step], None] = lambda _: None,
 ) -> RunRecord:
     """Run a filter over a dataset, with one BLAS thread.
@@ -103,6 +134,7 @@ def run(
         dataset: the data.
         factory: makes the filter.
         name: of the filter, for the record.
+        options: what is asked besides.
         on_step: called after each frame, outside the measured time: to show progress, or to write
             while the run goes on.
 
@@ -111,9 +143,9 @@ def run(
             finite, say, or fewer landmarks than ids.
     """
     with threadpool_limits(limits=1, user_api="blas"):
-        filter_ = Driven(factory, task_of(dataset))
+        filter_ = Driven(factory, task_of(dataset, options))
         steps = []
-        for done in filter_.feed(_inputs(dataset, filter_.raw)):
+        for done in filter_.feed(_inputs(dataset, filter_.raw, options)):
             if done.taken:
                 belief = filter_.belief(done.name)
                 steps.append(Step(frame=done.frame, belief=belief, innovation=done.innovation))
@@ -129,9 +161,11 @@ def run(
         )
 
 
-def _inputs(dataset: Dataset, raw: bool) -> Iterator[Input]:
+def _inputs(dataset: Dataset, raw: bool, options: RunOptions) -> Iterator[Input]:
     for i in range(len(dataset)):
-        yield dataset.frame(i)
+        frame = dataset.frame(i)
+        stream = options.retire_after is not None
+        yield replace(frame, last=np.zeros_like(frame.last)) if stream else frame
         if i + 1 < len(dataset):
             yield from _motions(dataset, i, raw)
 

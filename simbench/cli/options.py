@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from simbench.errors import InputError
+
 if TYPE_CHECKING:
     from simbench.dataset import Dataset
 
@@ -30,6 +32,21 @@ class Gate(click.ParamType[float | str]):
         if not 0 < probability < 1:
             self.fail(f"expected a probability between 0 and 1, or none, got {value!r}", param, ctx)
         return probability
+
+
+class Size(click.ParamType[int]):
+    """A number of bytes, such as 500MB."""
+
+    name = "SIZE"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
+        """The number."""
+        from simbench.limits import parse_size
+
+        try:
+            return value if isinstance(value, int) else parse_size(value)
+        except InputError as error:
+            self.fail(str(error), param, ctx)
 
 
 POSITIVE = click.FloatRange(min=0, min_open=True)
@@ -64,6 +81,16 @@ TOLD = (
     click.option("--noise-velocity", type=POSITIVE, help="Sigma a filter is told, m/s."),
     click.option("--noise-angular", type=POSITIVE, help="Sigma a filter is told, rad/s."),
     click.option("--gate", type=Gate(), help="Chi-square gate, or none."),
+)
+PAST = (
+    click.option("--smooth", is_flag=True, help="Past poses given all data, too."),
+    click.option("--memory", type=Size(), help="What the backward pass may hold, default 1GB."),
+    click.option(
+        "--retire-after",
+        type=click.IntRange(min=1),
+        metavar="FRAMES",
+        help="Feed the data as a stream: no last sighting is known.",
+    ),
 )
 
 

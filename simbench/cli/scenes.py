@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from simbench.cli.options import CONVENTION, OUT, SCENE, TOLD, open_dataset, options
+from simbench.cli.options import CONVENTION, OUT, PAST, SCENE, TOLD, open_dataset, options
 from simbench.printing import print_json, progress, show
 
 if TYPE_CHECKING:
@@ -34,8 +34,17 @@ def generate(scenario: Path, dialect: str | None, out: Path, as_json: bool, **to
 @click.command()
 @click.argument("source", type=click.Path(path_type=Path))
 @click.option("--filter", "names", multiple=True, help="A name, or package.module:factory.")
-@options(*TOLD, OUT)
-def run(source: Path, names: tuple[str, ...], out: Path, as_json: bool, **told: Any) -> None:
+@options(*TOLD, *PAST, OUT)
+def run(
+    source: Path,
+    names: tuple[str, ...],
+    smooth: bool,
+    memory: int | None,
+    retire_after: int | None,
+    out: Path,
+    as_json: bool,
+    **told: Any,
+) -> None:
     """Run a filter over a scene, a dataset or a recording, and measure it.
 
     Writes OUT/NAME.FILTER.mcap, .json (metrics), .tum (estimate) and pictures. Without --filter the
@@ -43,16 +52,23 @@ def run(source: Path, names: tuple[str, ...], out: Path, as_json: bool, **told: 
     picture shows it beside the paper's other estimators.
     """
     from simbench.filters import resolve
-    from simbench.outputs import filter_of, record_run, write_comparison
+    from simbench.outputs import filter_of, options_of, record_run, write_comparison
+    from simbench.run import RunOptions
     from simbench.run import run as run_filter
 
     factories = {name: resolve(name) for name in names or (filter_of(source),)}
+    recorded = options_of(source)
+    asked = RunOptions(
+        smooth=smooth or recorded.smooth,
+        memory_bytes=memory or recorded.memory_bytes,
+        retire_after=retire_after or recorded.retire_after,
+    )
     dataset = open_dataset(source, told)
     records: list[RunRecord] = []
     results = []
     for name, factory in factories.items():
         with progress(name, len(dataset)) as on_step:
-            record, values, paths = record_run(dataset, name, factory, out, on_step)
+            record, values, paths = record_run(dataset, name, factory, out, asked, on_step)
         records.append(record)
         results.append((values, paths))
     if not names and dataset.sightings is not None:

@@ -19,7 +19,8 @@ def metrics(record: RunRecord) -> Metrics:
     covariance) or is not finite. Names and units are the command line's. `pose_nees_mean` is over
     frames and `landmark_nees_mean` over the landmarks at the end, both without what is known
     exactly (a covariance of zero). `skipped_features` counts the invalid sightings that the filter
-    met. Where the truth is unknown, `path_length_m` is that of the estimate.
+    met. Where the truth is unknown, `path_length_m` is that of the estimate. `smoothed_` stands
+    before what is of the past poses given all data.
     """
     dataset, true = record.dataset, record.dataset.truth
     duration_s = float(dataset.times_s[-1] - dataset.times_s[0])
@@ -33,6 +34,7 @@ def metrics(record: RunRecord) -> Metrics:
         "realtime_factor": duration_s / record.wall_s if record.wall_s > 0 else None,
         "path_length_m": path_length(record.T_world_imu if true is None else true.T_world_imu),
         **_pose_metrics(record),
+        **{f"smoothed_{name}": v for name, v in _pose_metrics(record.as_smoothed).items()},
         **_map_metrics(record),
         **_innovation_metrics(record),
     }
@@ -41,7 +43,7 @@ def metrics(record: RunRecord) -> Metrics:
     }
 
 
-def _pose_metrics(record: RunRecord) -> Metrics:
+def _pose_metrics(record: RunRecord | None) -> Metrics:
     names = (
         "ate_rmse_m",
         "ate_rmse_aligned_m",
@@ -51,8 +53,8 @@ def _pose_metrics(record: RunRecord) -> Metrics:
         "final_rotation_error_deg",
         "pose_nees_mean",
     )
-    truth = record.dataset.truth
-    if truth is None:
+    truth = None if record is None else record.dataset.truth
+    if record is None or truth is None:
         return dict.fromkeys(names)
     estimated, true = record.T_world_imu, truth.T_world_imu
     absolute, relative = ate(estimated, true), rpe(estimated, true)

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from simbench.errors import FilterFailure
-from simbench.run import run
+from simbench.metrics import metrics
+from simbench.run import RunOptions, run
 from simbench.sensors import simulate
 from tests.simbench.scenes import RICH, scene
-from vislam.filters import DeadReckoning
+from vislam.filters import DeadReckoning, EkfSlam
 
 DATASET = simulate(scene(RICH, duration_s=1.0))
 
@@ -85,3 +86,39 @@ def test_a_pose_that_is_not_finite_is_named_with_the_call():
 
     with pytest.raises(FilterFailure, match="update 1 left `T_world_imu` that is not finite"):
         run(DATASET, Lost)
+
+
+LONGER = simulate(scene(RICH, duration_s=6.0))
+
+
+def test_past_poses_are_known_better_in_the_end_and_the_metrics_say_so():
+    record = run(LONGER, EkfSlam, options=RunOptions(smooth=True))
+    values = metrics(record)
+    assert len(record.smoothed) == len(record.steps)
+    assert values["smoothed_rpe_trans_rmse_m"] < 0.9 * values["rpe_trans_rmse_m"]
+    last = record.steps[-1].belief
+    assert np.array_equal(record.smoothed[-1].T_world_imu, last.T_world_imu)
+    for step, smoothed in zip(record.steps, record.smoothed, strict=True):
+        gained = step.belief.pose_covariance - smoothed.pose_covariance
+        assert np.linalg.eigvalsh(gained).min() > -1e-12
+
+
+def test_nobody_who_did_not_ask_gets_past_poses():
+    record = run(LONGER, EkfSlam)
+    assert record.smoothed is None
+    assert record.as_smoothed is None
+    assert metrics(record)["smoothed_ate_rmse_m"] is None
+
+
+def test_data_fed_as_a_stream_know_no_last_sighting_and_the_map_is_as_large():
+    told = []
+
+    class Listening(EkfSlam):
+        def update(self, frame):
+            told.append(frame.last.any())
+            return super().update(frame)
+
+    record = run(LONGER, Listening, options=RunOptions(retire_after=3))
+    assert not any(told)
+    assert len(record.final.ids) == len(run(LONGER, EkfSlam).final.ids)
+    assert len(record.steps[-1].belief.ids) < len(record.final.ids)
