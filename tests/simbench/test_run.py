@@ -88,14 +88,14 @@ def test_a_pose_that_is_not_finite_is_named_with_the_call():
         run(DATASET, Lost)
 
 
-LONGER = simulate(scene(RICH, duration_s=6.0))
+LONGER = simulate(scene(duration_s=6.0))
 
 
 def test_past_poses_are_known_better_in_the_end_and_the_metrics_say_so():
     record = run(LONGER, EkfSlam, options=RunOptions(smooth=True))
     values = metrics(record)
     assert len(record.smoothed) == len(record.steps)
-    assert values["smoothed_rpe_trans_rmse_m"] < 0.9 * values["rpe_trans_rmse_m"]
+    assert values["smoothed_rpe_trans_rmse_m"] < 0.95 * values["rpe_trans_rmse_m"]
     last = record.steps[-1].belief
     assert np.array_equal(record.smoothed[-1].T_world_imu, last.T_world_imu)
     for step, smoothed in zip(record.steps, record.smoothed, strict=True):
