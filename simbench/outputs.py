@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -105,16 +105,20 @@ def options_of(source: Path) -> RunOptions:
     """The options that a recording was made with, so that the run is repeated; else the defaults.
 
     Raises:
-        InputError: the recording cannot be read.
+        InputError: the recording cannot be read, or its options are none.
     """
+    from pydantic import TypeAdapter, ValidationError
+
     from simbench.mcap import summary
     from simbench.source import Kind, kind_of
 
     if kind_of(source) is not Kind.RECORDING:
         return RunOptions()
-    told = json.loads(summary(source).metadata.get("options", "{}"))
-    known = {field.name for field in fields(RunOptions)}
-    return RunOptions(**{name: value for name, value in told.items() if name in known})
+    text = summary(source).metadata.get("options", "{}")
+    try:
+        return TypeAdapter(RunOptions).validate_json(text)
+    except ValidationError as error:
+        raise InputError(f"{source}: expected the options of a run, got {text[:200]}.") from error
 
 
 def write_comparison(records: Sequence[RunRecord], out: Path) -> Path:
