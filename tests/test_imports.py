@@ -50,6 +50,7 @@ LAYERS = [
     "simbench.outputs",
     "simbench.campaign",
     "simbench.compare",
+    "simbench.report",
     "simbench.strategies",
     "simbench.hunt",
     "simbench.pytest_plugin",

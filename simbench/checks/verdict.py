@@ -72,6 +72,8 @@ class Verdict:
         runs: how many.
         false_alarm: the probability that a right filter fails.
         conclusion: what the checks mean together.
+        look_at: the run that shows most: one that raised, else the one whose pose at the end is the
+            furthest out of its covariance; None where no run tells.
     """
 
     checks: tuple[Check, ...]
@@ -80,6 +82,7 @@ class Verdict:
     runs: int
     false_alarm: float
     conclusion: str = ""
+    look_at: int | None = None
 
     @property
     def passed(self) -> bool:
@@ -96,6 +99,7 @@ class Verdict:
             "figures": dict(self.figures),
             "runs": self.runs,
             "false_alarm": self.false_alarm,
+            "look_at": self.look_at,
         }
 
     def lines(self) -> Iterator[str]:
@@ -172,6 +176,7 @@ def check(
         runs=runs,
         false_alarm=false_alarm,
         conclusion=_conclusion(exact, here, chance, untold(scenario)),
+        look_at=chance.look_at,
     )
 
 
@@ -303,7 +308,18 @@ def judge(
         figures=_medians(whole) | {"failed": len(failures) / len(summaries)},
         runs=len(summaries),
         false_alarm=false_alarm,
+        look_at=_look_at(summaries),
     )
+
+
+def _look_at(summaries: Sequence[RunSummary]) -> int | None:
+    """The run that shows most."""
+    furthest = {
+        s.run: np.inf if s.pose is None else float(s.pose.value[-1])
+        for s in summaries
+        if s.failure is not None or s.pose is not None
+    }
+    return max(furthest, key=furthest.__getitem__, default=None)
 
 
 def _corrected(tests: Sequence[Statistic], false_alarm: float) -> list[Check]:

@@ -13,6 +13,7 @@ from simbench.cli.converting import convert
 from simbench.cli.judging import audit, bugs, check, hunt
 from simbench.cli.lists import list_
 from simbench.cli.options import DONE, FAILED, INTERNAL, INTERRUPTED, WRONG_INPUT
+from simbench.cli.reporting import report
 from simbench.cli.scenes import generate, info, run
 from simbench.cli.studies import campaign, compare
 from simbench.errors import FilterFailure, SimbenchError
@@ -25,7 +26,20 @@ def cli() -> None:
     """A test bench for visual-inertial filters."""
 
 
-for verb in (generate, run, info, convert, audit, check, bugs, hunt, campaign, compare, list_):
+for verb in (
+    generate,
+    run,
+    info,
+    convert,
+    audit,
+    check,
+    bugs,
+    hunt,
+    campaign,
+    compare,
+    report,
+    list_,
+):
     cli.add_command(verb)
 
 

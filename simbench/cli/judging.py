@@ -51,7 +51,14 @@ def audit(
     )
     results = {name: audit_filter(resolve(name), drives) for name in names}
     if as_json:
-        values = [{"filter": name, **result.as_json()} for name, result in results.items()]
+        made = {
+            "scenario": None if scene is None else str(scene),
+            "most_scalars": most_scalars,
+            "seed": told["seed"],
+            "run": told["run"],
+            "set": list(told["overrides"]),
+        }
+        values = [{"filter": name, **made, **result.as_json()} for name, result in results.items()]
         print_json(values if len(values) > 1 else values[0])
     else:
         for name, result in results.items():
@@ -182,7 +189,12 @@ def check(
         for name in names
     }
     if as_json:
-        values = [{"filter": name, **each.as_json()} for name, each in verdicts.items()]
+        made = {
+            "scenario": str(scenario),
+            "seed": scene.seed if seed is None else seed,
+            "set": list(overrides),
+        }
+        values = [{"filter": name, **made, **each.as_json()} for name, each in verdicts.items()]
         print_json(values if len(values) > 1 else values[0])
     else:
         for name, each in verdicts.items():
