@@ -8,7 +8,7 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from simbench.dataset import Dataset
+from simbench.dataset import Dataset, Sightings
 from simbench.errors import InputError, OutputError
 from simbench.files import read_text
 from simbench.npz.dialects import DEFAULT, SELF_CONSISTENT, Dialect
@@ -146,7 +146,7 @@ def lost_in(dataset: Dataset, dialect: Dialect) -> list[str]:
     T, sightings = dataset.calibration.T_imu_cam, dataset.sightings
     rounding = np.abs(dialect.meaning.T_imu_cam(dialect.meaning.given(T)) - T).max()
     level = 0
-    if sightings is not None:
+    if isinstance(sightings, Sightings):
         seen = (sightings.pixels != -1).all(axis=1)
         level = int(np.count_nonzero(seen & (sightings.pixels[:, 0] == sightings.pixels[:, 2])))
     still = int(np.count_nonzero(~dataset.angular_velocity.any(axis=1)))

@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from vislam.arrays import Array, BoolArray, IntArray
-from vislam.types import Belief, Calibration, Noise, State, StereoFrame, Twist
+from vislam.types import Belief, Calibration, Frame, Noise, PointFrame, State, StereoFrame, Twist
 
 
 def nanoseconds(times_s: Array) -> IntArray:
@@ -26,7 +26,7 @@ def seconds(times_ns: IntArray) -> Array:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sightings:
-    """Features by frame.
+    """The features of a stereo pair by frame.
 
     Attributes:
         start: the sightings of frame i stand at start[i] to start[i + 1], shape (T + 1,).
@@ -44,13 +44,52 @@ class Sightings:
     @classmethod
     def from_frames(cls, frames: list[tuple[IntArray, Array]]) -> "Sightings":
         """From (ids, pixels) of each frame."""
-        start = np.cumsum([0, *(len(ids) for ids, _ in frames)])
-        ids = np.concatenate([np.empty(0, np.int64), *(ids for ids, _ in frames)])
-        pixels = np.concatenate([np.empty((0, 4)), *(pixels for _, pixels in frames)])
+        start, ids, pixels = _joined(frames, 4)
         return cls(start=start, ids=ids, pixels=pixels, last=_last_of_each(ids))
 
     def __len__(self) -> int:
         return len(self.ids)
+
+    def frame(self, i: int, time_s: float) -> StereoFrame:
+        """Frame i as a filter gets it."""
+        k = slice(self.start[i], self.start[i + 1])
+        return StereoFrame(time_s=time_s, ids=self.ids[k], pixels=self.pixels[k], last=self.last[k])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PointSightings:
+    """The readings of a point sensor by frame.
+
+    Attributes:
+        start, ids, last: as of `Sightings`.
+        points: in the frame of the sensor, metres, shape (S, 3).
+    """
+
+    start: IntArray
+    ids: IntArray
+    points: Array
+    last: BoolArray
+
+    @classmethod
+    def from_frames(cls, frames: list[tuple[IntArray, Array]]) -> "PointSightings":
+        """From (ids, points) of each frame."""
+        start, ids, points = _joined(frames, 3)
+        return cls(start=start, ids=ids, points=points, last=_last_of_each(ids))
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+    def frame(self, i: int, time_s: float) -> PointFrame:
+        """Frame i as a filter gets it."""
+        k = slice(self.start[i], self.start[i + 1])
+        return PointFrame(time_s=time_s, ids=self.ids[k], points=self.points[k], last=self.last[k])
+
+
+def _joined(frames: list[tuple[IntArray, Array]], columns: int) -> tuple[IntArray, IntArray, Array]:
+    """Where each frame starts, and the ids and readings of all."""
+    start = np.cumsum([0, *(len(ids) for ids, _ in frames)])
+    ids = np.concatenate([np.empty(0, np.int64), *(ids for ids, _ in frames)])
+    return start, ids, np.concatenate([np.empty((0, columns)), *(z for _, z in frames)])
 
 
 def _last_of_each(ids: IntArray) -> BoolArray:
@@ -138,7 +177,7 @@ class Dataset:
         linear_velocity: measured, m/s, IMU frame, held over [t_i, t_i+1), shape (T, 3).
         angular_velocity: measured, rad/s, IMU frame, shape (T, 3).
         landmark_count: M; landmark ids are 0 to M - 1.
-        sightings: features by frame, or None where the data have none.
+        sightings: features or points by frame, or None where the data have none.
         calibration: what the filter is told of the geometry.
         noise: what the filter is told of the noise.
         prior: what the filter is told of the start.
@@ -154,7 +193,7 @@ class Dataset:
     linear_velocity: Array
     angular_velocity: Array
     landmark_count: int
-    sightings: Sightings | None
+    sightings: Sightings | PointSightings | None
     calibration: Calibration
     noise: Noise
     prior: Belief
@@ -173,7 +212,7 @@ class Dataset:
         """The times as whole nanoseconds."""
         return nanoseconds(self.times_s)
 
-    def frame(self, i: int) -> StereoFrame:
+    def frame(self, i: int) -> Frame:
         """Frame i as a filter gets it; without features, an empty one."""
         if self.sightings is None:
             none = np.empty(0, np.int64)
@@ -183,13 +222,7 @@ class Dataset:
                 pixels=np.empty((0, 4)),
                 last=none.astype(bool),
             )
-        rows = slice(self.sightings.start[i], self.sightings.start[i + 1])
-        return StereoFrame(
-            time_s=float(self.times_s[i]),
-            ids=self.sightings.ids[rows],
-            pixels=self.sightings.pixels[rows],
-            last=self.sightings.last[rows],
-        )
+        return self.sightings.frame(i, float(self.times_s[i]))
 
     def twist(self, i: int) -> Twist:
         """The twist sample of [t_i, t_i+1)."""

@@ -15,13 +15,13 @@ from simbench.errors import FilterFailure
 from vislam.arrays import Array
 from vislam.charts import CHARTS
 from vislam.filters.protocol import Factory, Filter, Finishing
-from vislam.types import Belief, ImuSample, Innovation, Smoothed, State, StereoFrame, Task, Twist
+from vislam.types import Belief, Frame, ImuSample, Innovation, Smoothed, State, Task, Twist
 
 P = ParamSpec("P")
 R = TypeVar("R")
 
 #: What goes into a filter: a frame, or a motion with the seconds that it lasts.
-Input: TypeAlias = StereoFrame | tuple[Twist | ImuSample, float]
+Input: TypeAlias = Frame | tuple[Twist | ImuSample, float]
 Shape: TypeAlias = tuple[int, ...]
 
 
@@ -96,13 +96,14 @@ class Driven:
             FilterFailure: the filter raised, or gave an innovation that is none.
         """
         predict: Callable[[Any, float], None] = self.filter.predict
+        update: Callable[[Any], Innovation | None] = self.filter.update
         frame = -1
         for each in inputs:
-            if isinstance(each, StereoFrame):
+            if isinstance(each, Frame):
                 frame += 1
                 name = f"update {frame}"
-                innovation = self.watch(name, self.filter.update, each)
-                _check_innovation(name, innovation, self._batch)
+                innovation = self.watch(name, update, each)
+                _check_innovation(name, innovation, each.readings.shape[-1], self._batch)
                 yield Done(name=name, frame=frame, taken=True, innovation=innovation)
             else:
                 name = f"predict {frame}"
@@ -190,15 +191,15 @@ def error_of(call: str, belief: Belief, truth: State) -> Array:
     return found
 
 
-def _check_innovation(call: str, innovation: Innovation | None, batch: Shape) -> None:
+def _check_innovation(call: str, innovation: Innovation | None, rows: int, batch: Shape) -> None:
     if innovation is None:
         return
     if not isinstance(innovation, Innovation):
         kind = type(innovation).__name__
         raise FilterFailure(call, f"returned {kind}: expected an Innovation or None")
     k = np.size(innovation.ids)
-    _check_shape(call, "returned `residual`", innovation.residual, (k, 4), batch)
-    _check_shape(call, "returned `whitened`", innovation.whitened, (k, 4), batch)
+    _check_shape(call, "returned `residual`", innovation.residual, (k, rows), batch)
+    _check_shape(call, "returned `whitened`", innovation.whitened, (k, rows), batch)
     _check_shape(call, "returned `accepted`", innovation.accepted, (k,), batch)
     _check_finite(call, "returned `whitened`", innovation.whitened)
 

@@ -6,12 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from simbench.dataset import Dataset
+from simbench.dataset import Dataset, PointSightings, Sightings
 from simbench.metrics import path_length
 from simbench.source import NOTHING, Kind, Told, kind_of, open_source, refuse_misplaced
 from vislam.arrays import Array
-from vislam.camera import Validity, triangulate, validity
+from vislam.camera import StereoRig, Validity, triangulate, validity
 from vislam.filters.model import moved
+from vislam.point import PointSensor
 
 
 def info(path: Path, told: Told = NOTHING) -> dict[str, Any]:
@@ -100,30 +101,47 @@ def _poses(dataset: Dataset) -> Array:
 
 def _told(dataset: Dataset) -> dict[str, Any]:
     rig, noise = dataset.calibration.rig, dataset.noise
+    sensor: dict[str, Any]
+    if isinstance(rig, PointSensor):
+        sensor = {
+            "range_m": list(rig.range_m),
+            "view_deg": rig.view_deg,
+            "point_share": noise.point_share,
+            "point_floor_m": noise.point_floor_m,
+        }
+    else:
+        sensor = {
+            "fx_px": rig.fx_px,
+            "baseline_m": rig.baseline_m,
+            "sigma_px": noise.sigma_px.tolist(),
+        }
+    shares = {"twist_share": noise.twist_share.tolist()} if noise.twist_share.any() else {}
     return {
-        "fx_px": rig.fx_px,
-        "baseline_m": rig.baseline_m,
-        "sigma_px": noise.sigma_px.tolist(),
+        **sensor,
         "process_model": noise.process_model,
         "process_sigmas": np.sqrt(np.diag(noise.process)).tolist(),
+        **shares,
         "gate": dataset.gate,
     }
 
 
 def _statistics(dataset: Dataset) -> dict[str, Any]:
-    sightings, rig = dataset.sightings, dataset.calibration.rig
+    sightings = dataset.sightings
     values: dict[str, Any] = {
         "speed_mps": _spread(np.linalg.norm(dataset.linear_velocity, axis=1)),
         "angular_rate_radps": _spread(np.linalg.norm(dataset.angular_velocity, axis=1)),
     }
     if sightings is None or not len(sightings):
         return values
-    usable = sightings.pixels[validity(rig, sightings.pixels) == Validity.VALID]
     _, frames_of_each = np.unique(sightings.ids, return_counts=True)
     values |= {
         "sightings_per_frame": _spread(np.diff(sightings.start)),
         "track_frames": _spread(frames_of_each),
     }
+    if isinstance(sightings, PointSightings):
+        return values | {"distance_m": _spread(np.linalg.norm(sightings.points, axis=1))}
+    rig = dataset.calibration.stereo
+    usable = sightings.pixels[validity(rig, sightings.pixels) == Validity.VALID]
     if len(usable):
         off = usable[:, 1] - usable[:, 3]
         values |= {
@@ -144,23 +162,30 @@ def _problems(dataset: Dataset) -> list[str]:
     sightings = dataset.sightings
     if sightings is None:
         return ["there are no features: only dead reckoning has anything to work on"]
-    kinds = validity(dataset.calibration.rig, sightings.pixels)
-    counts = {
-        "half of it is missing": Validity.PARTIAL,
-        "the disparity is not positive": Validity.BEHIND,
-        f"the disparity is below {dataset.calibration.rig.min_disparity_px:g} px": Validity.FAR,
-        "it lies outside the image": Validity.OUTSIDE,
-    }
-    found = {why: int(np.count_nonzero(kinds == kind)) for why, kind in counts.items()}
-    problems = [
-        f"{count} of {len(kinds)} sightings cannot be used: {why}"
-        for why, count in found.items()
-        if count
-    ]
+    problems = []
+    if isinstance(sightings, Sightings):
+        problems = _unusable(dataset.calibration.stereo, sightings)
     empty = int(np.count_nonzero(np.diff(sightings.start) == 0))
     if empty:
         problems.append(f"{empty} of {len(dataset)} frames see no landmark")
     return problems
+
+
+def _unusable(rig: StereoRig, sightings: Sightings) -> list[str]:
+    """Sightings that no filter can use, by what is wrong with them."""
+    kinds = validity(rig, sightings.pixels)
+    counts = {
+        "half of it is missing": Validity.PARTIAL,
+        "the disparity is not positive": Validity.BEHIND,
+        f"the disparity is below {rig.min_disparity_px:g} px": Validity.FAR,
+        "it lies outside the image": Validity.OUTSIDE,
+    }
+    found = {why: int(np.count_nonzero(kinds == kind)) for why, kind in counts.items()}
+    return [
+        f"{count} of {len(kinds)} sightings cannot be used: {why}"
+        for why, count in found.items()
+        if count
+    ]
 
 
 def _convention(path: Path, told: Told) -> dict[str, Any]:

@@ -12,6 +12,7 @@ from simbench.files import file_safe, replacing
 from simbench.metrics import metrics
 from simbench.run import RunOptions, RunRecord, Step, run
 from vislam.filters import Factory
+from vislam.point import PointSensor
 
 if TYPE_CHECKING:
     from simbench.npz import Dialect
@@ -25,6 +26,9 @@ def write_dataset(dataset: Dataset, out: Path, dialect: "Dialect | None" = None)
 
     dialect = dialect or DEFAULT
     npz, mcap = (out / f"{dataset.name}{suffix}" for suffix in (dialect.suffix, ".mcap"))
+    if isinstance(dataset.calibration.rig, PointSensor):  # which no dialect can hold
+        write_dataset_mcap(mcap, dataset)
+        return [mcap]
     write_npz(npz, dataset, dialect)
     write_dataset_mcap(mcap, dataset)
     return [npz, mcap]

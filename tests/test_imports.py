@@ -17,6 +17,7 @@ LAYERS = [
     "vislam.arrays",
     "vislam.lie",
     "vislam.camera",
+    "vislam.point",
     "vislam.charts",
     "vislam.types",
     "vislam.gaussian",

@@ -154,7 +154,7 @@ def triangulate(rig: StereoRig, pixels: Array) -> Array:
     return np.stack([x, y, z], axis=-1)
 
 
-def d_triangulate_d_pixels(rig: StereoRig, pixels: Array) -> Array:
+def d_triangulate_d_reading(rig: StereoRig, pixels: Array) -> Array:
     """The Jacobian of `triangulate`, shape (..., n, 4) to (..., n, 3, 4)."""
     x, y, z = np.moveaxis(triangulate(rig, pixels), -1, 0)
     dz = -z * z / (rig.fx_px * rig.baseline_m)  # by uL; by uR the negative

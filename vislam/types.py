@@ -4,19 +4,21 @@ Frozen, keyword-only dataclasses on plain arrays. A leading ``...`` in a shape s
 optional batch axis: runs that share ids, times and visibility, and differ in their numbers.
 """
 
-from dataclasses import dataclass, field
-from typing import Literal, TypeAlias, get_args
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, field, replace
+from typing import Literal, Self, TypeAlias, get_args
 
 import numpy as np
 
 from vislam.arrays import Array, BoolArray, IntArray
 from vislam.camera import StereoRig
 from vislam.charts import CHARTS, ErrorFunction
+from vislam.point import PointSensor
 
 #: What a backward pass may hold in memory where nobody says.
 MEMORY_BYTES = 2**30
 
-ProcessModel: TypeAlias = Literal["additive", "twist", "twist-density"]
+ProcessModel: TypeAlias = Literal["additive", "twist", "twist-density", "twist-relative"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,22 +57,96 @@ class ImuSample:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class StereoFrame:
-    """The features of one stereo frame, as the tracker delivered them.
+class Frame(ABC):
+    """The sightings of one frame, whatever the sensor. What is missing is marked, and still here.
 
     Attributes:
         time_s: time of the frame.
-        ids: track of each feature, each at most once, shape (n,).
-        pixels: uL, vL, uR, vR, shape (..., n, 4). What is missing is -1 and still here: to skip it
-            is the filter's task.
+        ids: track of each sighting, each at most once, shape (n,).
         last: whether the data hold no later sighting of the track; all False where the source does
             not know. Shape (n,).
     """
 
     time_s: float
     ids: IntArray
-    pixels: Array
     last: BoolArray
+
+    @property
+    @abstractmethod
+    def readings(self) -> Array:
+        """The numbers as the sensor gave them, shape (..., n, c)."""
+
+    @property
+    @abstractmethod
+    def there(self) -> BoolArray:
+        """Which of the numbers are not marked as missing, shape (..., n, c)."""
+
+    @abstractmethod
+    def with_readings(self, readings: Array) -> Self:
+        """The same frame with other numbers, shape (..., n, c)."""
+
+    @abstractmethod
+    def without(self, where: BoolArray) -> Self:
+        """The same frame with numbers marked as missing; `where` broadcasts to the readings."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StereoFrame(Frame):
+    """The features of one stereo frame, as the tracker delivered them.
+
+    Attributes:
+        pixels: uL, vL, uR, vR, shape (..., n, 4). What is missing is -1 and still here: to skip it
+            is the filter's task.
+    """
+
+    pixels: Array
+
+    @property
+    def readings(self) -> Array:
+        """The pixels."""
+        return self.pixels
+
+    @property
+    def there(self) -> BoolArray:
+        """Which are not -1."""
+        return np.asarray(self.pixels != -1)
+
+    def with_readings(self, readings: Array) -> Self:
+        """With other pixels."""
+        return replace(self, pixels=readings)
+
+    def without(self, where: BoolArray) -> Self:
+        """With pixels of -1."""
+        return replace(self, pixels=np.where(where, -1.0, self.pixels))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PointFrame(Frame):
+    """The landmarks that a point sensor read in one frame.
+
+    Attributes:
+        points: in the frame of the sensor, metres, shape (..., n, 3). What is missing is NaN.
+    """
+
+    points: Array
+
+    @property
+    def readings(self) -> Array:
+        """The points."""
+        return self.points
+
+    @property
+    def there(self) -> BoolArray:
+        """Which coordinates are not NaN."""
+        return ~np.isnan(self.points)
+
+    def with_readings(self, readings: Array) -> Self:
+        """With other points."""
+        return replace(self, points=readings)
+
+    def without(self, where: BoolArray) -> Self:
+        """With coordinates of NaN."""
+        return replace(self, points=np.where(where, np.nan, self.points))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -78,12 +154,23 @@ class Calibration:
     """What a filter is told of its sensors' geometry.
 
     Attributes:
-        rig: the stereo pair.
-        T_imu_cam: left optical frame to IMU frame, shape (4, 4).
+        rig: the stereo pair, or the point sensor in its place.
+        T_imu_cam: left optical frame, or the point sensor's, to IMU frame, shape (4, 4).
     """
 
-    rig: StereoRig
+    rig: StereoRig | PointSensor
     T_imu_cam: Array
+
+    @property
+    def stereo(self) -> StereoRig:
+        """The rig, for what is about pixels alone.
+
+        Raises:
+            ValueError: there is a point sensor.
+        """
+        if not isinstance(self.rig, StereoRig):
+            raise ValueError("Expected a stereo rig, got a point sensor, which has no pixels.")
+        return self.rig
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -94,14 +181,39 @@ class Noise:
         process_model: what `process` is the covariance of.
             `twist`: of a twist sample's noise n, u = u_true + n, the same for any interval.
             `twist-density`: n ~ N(0, process / tau) over an interval tau.
+            `twist-relative`: as `twist`, of the least noise of a sample; each component's sigma is
+            its `twist_share` of the twist where that is more.
             `additive`: of the pose's error of one step, T+ = T exp(tau u^) exp(w^), the paper's W.
         process: covariance in (rho, phi) order, shape (6, 6).
-        sigma_px: standard deviations of uL, vL, uR, vR, shape (4,).
+        twist_share: of a `twist-relative` model, shape (6,).
+        sigma_px: standard deviations of uL, vL, uR, vR, shape (4,); none of a point sensor.
+        point_share: of a point sensor: a coordinate's standard deviation is this share of it,
+        point_floor_m: or this, where that is more. 0 of a stereo pair.
     """
 
     process_model: ProcessModel
     process: Array
-    sigma_px: Array
+    twist_share: Array = field(default_factory=lambda: np.zeros(6))
+    sigma_px: Array = field(default_factory=lambda: np.empty(0))
+    point_share: float = 0.0
+    point_floor_m: float = 0.0
+
+    def twist_covariance(self, u: Array) -> Array:
+        """Of a twist sample u = [v; omega], shape (..., 6) to (6, 6) or (..., 6, 6).
+
+        The share is of the sample as measured, which is all that a filter has.
+        """
+        if self.process_model != "twist-relative":
+            return self.process
+        more = np.square(self.twist_share * u) - np.diagonal(self.process)
+        return np.asarray(self.process + np.maximum(more, 0)[..., None, :] * np.eye(6))
+
+    def sigma(self, readings: Array) -> Array:
+        """Standard deviations of readings, shape (..., n, c) to (c,) or (..., n, c)."""
+        if len(self.sigma_px):
+            return self.sigma_px
+        sigma: Array = np.maximum(self.point_share * np.abs(readings), self.point_floor_m)
+        return sigma
 
     def __post_init__(self) -> None:
         """Refuse what is no noise."""
@@ -112,7 +224,15 @@ class Noise:
             )
         if np.shape(self.process) != (6, 6):
             raise ValueError(f"Expected `process` of shape (6, 6), got {np.shape(self.process)}.")
-        if np.shape(self.sigma_px) != (4,) or not np.all(np.asarray(self.sigma_px) > 0):
+        if np.shape(self.twist_share) != (6,) or not np.all(np.asarray(self.twist_share) >= 0):
+            raise ValueError(f"Expected six `twist_share` of at least 0, got {self.twist_share}.")
+        if self.point_floor_m and not np.size(self.sigma_px):
+            if not (self.point_floor_m > 0 and self.point_share >= 0):
+                raise ValueError(
+                    "Expected `point_floor_m` above 0 and `point_share` of at least 0, got "
+                    f"{self.point_floor_m} and {self.point_share}."
+                )
+        elif np.shape(self.sigma_px) != (4,) or not np.all(np.asarray(self.sigma_px) > 0):
             raise ValueError(f"Expected four positive `sigma_px`, got {self.sigma_px}.")
 
 
@@ -192,14 +312,14 @@ class Belief:
 class Innovation:
     """What one frame's features had to say, before they changed the belief.
 
-    The whitened residual of an accepted sighting has four numbers: three that the state explains,
-    decorrelated over the frame, and (vL - vR) over its sigma; with a right filter all are
-    independent standard normal.
+    The whitened residual of an accepted sighting has c numbers. Of a stereo pair four: three that
+    the state explains, decorrelated over the frame, and (vL - vR) over its sigma. Of a point sensor
+    the first three. With a right filter all are independent standard normal.
 
     Attributes:
         ids: known landmarks with a valid sighting, whose residual was tested, shape (k,).
-        residual: measured minus predicted pixels, shape (..., k, 4).
-        whitened: zero where not accepted, shape (..., k, 4).
+        residual: measured minus predicted readings, shape (..., k, c).
+        whitened: zero where not accepted, shape (..., k, c).
         accepted: what was used, shape (..., k). The rest is predicted behind the camera, or too
             vaguely to be linear, or was refused by the gate.
         born: ids that entered the map by this frame, shape (b,).
@@ -221,8 +341,8 @@ class Innovation:
 
     @property
     def dof(self) -> IntArray:
-        """Its degrees of freedom, 4 for each accepted sighting, shape (...)."""
-        dof: IntArray = 4 * np.count_nonzero(self.accepted, axis=-1)
+        """Its degrees of freedom, c for each accepted sighting, shape (...)."""
+        dof: IntArray = self.whitened.shape[-1] * np.count_nonzero(self.accepted, axis=-1)
         return dof
 
     @property

@@ -13,7 +13,7 @@ from vislam.arrays import Array, IntArray
 from vislam.filters import model
 from vislam.filters.slam import EkfSlam, Parts
 from vislam.lie import se3
-from vislam.types import Innovation, Noise, StereoFrame, Task, Twist
+from vislam.types import Frame, Innovation, Noise, Task, Twist
 
 
 def telling(wrong: Callable[[Task], Task]) -> Make:
@@ -125,9 +125,9 @@ class TransitionFromPosterior(EkfSlam):
 class FeaturesOfAnotherFrame(EkfSlam):
     """Each pose meets the features of the frame before: off by one."""
 
-    _before: StereoFrame | None = None
+    _before: Frame | None = None
 
-    def update(self, frame: StereoFrame) -> Innovation:
+    def update(self, frame: Frame) -> Innovation:
         """By the frame before; the first pose sees nothing."""
         late, self._before = self._before, frame
         return super().update(late or only(frame, frame.ids[:0]))
@@ -140,17 +140,17 @@ class PixelNoiseTwice(EkfSlam):
         super().__init__(task, parts)
         self._rng = task.rng
 
-    def update(self, frame: StereoFrame) -> Innovation:
+    def update(self, frame: Frame) -> Innovation:
         """By noisier pixels."""
-        noise = self.noise.sigma_px * self._rng.standard_normal(frame.pixels.shape)
-        there = frame.pixels != -1
-        return super().update(replace(frame, pixels=frame.pixels + np.where(there, noise, 0)))
+        z = frame.readings
+        noise = self.noise.sigma(z) * self._rng.standard_normal(z.shape)
+        return super().update(frame.with_readings(z + np.where(frame.there, noise, 0)))
 
 
 class FusedTwice(EkfSlam):
     """Updates twice by the landmarks that were known."""
 
-    def update(self, frame: StereoFrame) -> Innovation:
+    def update(self, frame: Frame) -> Innovation:
         """Reports nothing of the second update."""
         innovation = super().update(replace(frame, last=np.zeros_like(frame.last)))
         super().update(only(frame, innovation.ids))
@@ -160,7 +160,7 @@ class FusedTwice(EkfSlam):
 class BirthFusedAgain(EkfSlam):
     """Enters new landmarks, then updates by the pixels that made them."""
 
-    def update(self, frame: StereoFrame) -> Innovation:
+    def update(self, frame: Frame) -> Innovation:
         """Reports both updates as one."""
         known = super().update(replace(frame, last=np.zeros_like(frame.last)))
         born = super().update(only(frame, known.born))
@@ -176,25 +176,22 @@ class BirthFusedAgain(EkfSlam):
 class MaskOfResidualAlone(EkfSlam):
     """A landmark that is not seen has residual zero, and its H all the same."""
 
-    def update(self, frame: StereoFrame) -> Innovation:
+    def update(self, frame: Frame) -> Innovation:
         """As if each unseen landmark had been seen where it was expected."""
-        x, seen = self.x, frame.ids[self.parts.valid(self.calibration, frame.pixels)]
+        x, seen = self.x, frame.ids[self.parts.valid(self.calibration, frame.readings)]
         slots = np.flatnonzero(~np.isin(self.ids, seen))
-        nowhere = np.zeros((len(slots), 4))
-        expected = -model.residuals(self.calibration, x.T, x.landmarks[..., slots, :], nowhere)
+        expected = model.predicted(self.calibration, x.T, x.landmarks[..., slots, :])
         unseen, rest = self.ids[slots], ~np.isin(frame.ids, self.ids[slots])
         last = np.isin(unseen, frame.ids[frame.last])
-        return super().update(
-            StereoFrame(
-                time_s=frame.time_s,
-                ids=np.concatenate([frame.ids[rest], unseen]),
-                pixels=np.concatenate([frame.pixels[..., rest, :], expected], axis=-2),
-                last=np.concatenate([frame.last[rest], last]),
-            )
+        more = replace(
+            frame,
+            ids=np.concatenate([frame.ids[rest], unseen]),
+            last=np.concatenate([frame.last[rest], last]),
         )
+        z = np.concatenate([frame.readings[..., rest, :], expected], axis=-2)
+        return super().update(more.with_readings(z))
 
 
-def only(frame: StereoFrame, ids: IntArray) -> StereoFrame:
+def only(frame: Frame, ids: IntArray) -> Frame:
     """The frame in which nothing but these landmarks is seen."""
-    there = np.isin(frame.ids, ids)[:, None]
-    return replace(frame, pixels=np.where(there, frame.pixels, -1.0))
+    return frame.without(~np.isin(frame.ids, ids)[:, None])

@@ -102,7 +102,7 @@ def _without_division_by_depth(calibration: Calibration, T: Array, landmarks: Ar
 
 
 def _baseline_of_wrong_sign(calibration: Calibration, T: Array, landmarks: Array) -> Jacobians:
-    s, rig = model.to_imu(T, landmarks), calibration.rig
+    s, rig = model.to_imu(T, landmarks), calibration.stereo
     q = model.to_cam(calibration, s)
     d_pixel_d_q = camera.d_project_d_point(rig, q)
     d_pixel_d_q[..., 2, 2] = -rig.fx_px * (q[..., 0] + rig.baseline_m) / q[..., 2] ** 2
@@ -112,12 +112,12 @@ def _baseline_of_wrong_sign(calibration: Calibration, T: Array, landmarks: Array
 
 def _any_for_all(calibration: Calibration, pixels: Array) -> BoolArray:
     """A feature is there if any of its coordinates is."""
-    found = camera.validity(calibration.rig, pixels)
+    found = camera.validity(calibration.stereo, pixels)
     usable: BoolArray = np.isin(found, (camera.Validity.VALID, camera.Validity.PARTIAL))
     return np.asarray(usable.all(axis=tuple(range(usable.ndim - 1))))
 
 
-def _gate_of_two_dof(distance_squared: Array, probability: float) -> BoolArray:
+def _gate_of_two_dof(distance_squared: Array, probability: float, _: int) -> BoolArray:
     return distance_squared <= gate_threshold(probability, 2)
 
 

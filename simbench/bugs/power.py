@@ -5,7 +5,7 @@ and is the same for every filter: what two filters do is paired. Disjoint groups
 by the statistics of `simbench check`, each of its checks at a false-alarm level of its own.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from types import MappingProxyType
@@ -224,11 +224,12 @@ def _whole_runs(factory: Factory, w: Array, first: int) -> list[RunSummary]:
     filter_ = watch("start", factory, replace(drive().task, prior=readings.prior, rng=rng))
     at = instants(drive().frames).tolist()
     beliefs, innovations = [], []
+    update: Callable[[Any], Any] = filter_.update
     for i, frame in enumerate(readings.frames):
         if i:
             tau = float(drive().intervals_s[i - 1])
             watch(f"predict {i - 1}", filter_.predict, readings.twists[i - 1], tau)
-        innovations.append(watch(f"update {i}", filter_.update, frame))
+        innovations.append(watch(f"update {i}", update, frame))
         beliefs.append(watch(f"update {i}", filter_.belief, joint=i in at))
     return summaries(drive(), beliefs, innovations, first)
 

@@ -108,9 +108,9 @@ def _calls(factory: Factory, drive: ShortDrive, readings: Readings) -> Iterator[
     for done in filter_.feed(drive.inputs(readings)):
         belief, whitened = filter_.belief(done.name, joint=True), None
         if done.innovation is not None:
-            k = len(done.innovation.ids)
-            whitened = np.broadcast_to(done.innovation.whitened, (*batch, k, 4))
-            whitened = whitened.reshape(*batch, 4 * k)
+            each = done.innovation.whitened.shape[-2:]
+            whitened = np.broadcast_to(done.innovation.whitened, (*batch, *each))
+            whitened = whitened.reshape(*batch, each[0] * each[1])
         yield Call(name=done.name, frame=done.frame, belief=belief, whitened=whitened)
     if (end := filter_.finish()) is not None:
         yield Call(name="finish", frame=drive.frames - 1, belief=end.final, whitened=None)

@@ -18,12 +18,12 @@ from simbench.checks.result import CheckResult, NotApplicable, check, judged
 from simbench.checks.short_drive import ShortDrive
 from simbench.checks.structure import observation_matrix, through
 from simbench.checks.trace import Call, Feed, held, white_box
-from simbench.sensors.camera import camera_matrices, projected
+from simbench.sensors import seen_from
 from vislam.arrays import Array, IntArray
 from vislam.filters import Factory
 from vislam.filters.records import Augment, Correct, Linear
 from vislam.lie import se3
-from vislam.types import Belief, Noise, StereoFrame, Task, Twist
+from vislam.types import Belief, Frame, Noise, Task, Twist
 
 #: Of the largest element. Finite differences are good to about 1e-10; an adjoint without the last
 #: term of its series is off by 2e-4, which misleads nobody; mistakes start at a hundredth.
@@ -90,14 +90,14 @@ ALL_ROWS = MappingProxyType({"": slice(None)})
 
 
 def _blocks(
-    task: Task, before: Call, after: Call, step: StereoFrame | tuple[Twist, float]
+    task: Task, before: Call, after: Call, step: Frame | tuple[Twist, float]
 ) -> Iterator[Block]:
     for record, ids in held(before, after):
         start = _with(ids, before, after)
         match record:
             case Linear():
                 what, motion = "A", np.eye(4)
-                if not isinstance(step, StereoFrame):
+                if not isinstance(step, Frame):
                     what, motion = "F", se3.exp(step[1] * step[0].vector)
                 got = through(record, np.eye(6 + 3 * len(ids)))
                 expected = _transition(start, _with(ids, after, before), motion)
@@ -158,16 +158,17 @@ def _observation(task: Task, belief: Belief, record: Correct) -> Array:
     """The derivative d z / d e of the whitened sightings, shape (3k, 6 + 3m)."""
     state = state_of(belief)
     places = np.searchsorted(state.ids, belief.ids[record.slots])
-    matrices = camera_matrices(task.calibration.rig, task.calibration.T_imu_cam)
-    rows = whitening(task.noise)
 
     def sightings(d: Array) -> Array:
         true = varied(state, d)
         s = se3.apply(se3.inverse(true.T_world_imu), true.landmarks[:, places])
-        pixels = projected(matrices, s.reshape(-1, 3))[0]
-        return (pixels @ rows.T).reshape(len(d), 3 * len(places))
+        seen = seen_from(task.calibration, s.reshape(-1, 3))
+        return seen.reshape(len(d), len(places), seen.shape[-1])
 
-    return _by_error(belief, sightings)
+    rows = whitening(task.noise, sightings(np.zeros((1, 6 + 3 * len(belief.ids))))[0])
+    return _by_error(
+        belief, lambda d: np.einsum("kij,dkj->dki", rows, sightings(d)).reshape(len(d), -1)
+    )
 
 
 def _birth(belief: Belief, born: int) -> Array:
@@ -192,9 +193,15 @@ def _by_error(belief: Belief, function: Callable[[Array], Array]) -> Array:
     return np.asarray(np.linalg.solve(error_by_state.T, by_state.T).T)
 
 
-def whitening(noise: Noise) -> Array:
-    """(uL, mean of vL and vR by inverse variance, uR), each over its sigma, shape (3, 4)."""
+def whitening(noise: Noise, readings: Array) -> Array:
+    """What an update takes from readings (k, c) that are expected, shape (k, 3, c).
+
+    (uL, mean of vL and vR by inverse variance, uR), or a point; each over its sigma.
+    """
+    if not len(noise.sigma_px):
+        return np.eye(3) / noise.sigma(readings)[:, None]
     uL, vL, uR, vR = noise.sigma_px
     information = 1 / vL**2 + 1 / vR**2
     mean = np.array([0, 1 / vL**2, 0, 1 / vR**2]) / np.sqrt(information)
-    return np.stack([[1 / uL, 0, 0, 0], mean, [0, 0, 1 / uR, 0]])
+    each = np.stack([[1 / uL, 0, 0, 0], mean, [0, 0, 1 / uR, 0]])
+    return np.broadcast_to(each, (len(readings), 3, 4))

@@ -17,7 +17,7 @@ from vislam.arrays import BoolArray, IntArray
 from vislam.filters import Factory
 from vislam.gaussian import covariance_fault
 from vislam.lie import se3
-from vislam.types import Belief, StereoFrame
+from vislam.types import Belief, Frame
 
 #: The world is moved by this: translation and rotation vector.
 MOTION = np.array([30.0, -40.0, 10.0, 1.1, -0.7, 1.9])
@@ -69,7 +69,7 @@ def shift_the_clock(factory: Factory, drive: ShortDrive | None = None) -> CheckR
     feed = Feed.of(drive)
     later = tuple(
         replace(step, time_s=step.time_s + 4096)
-        if isinstance(step, StereoFrame)
+        if isinstance(step, Frame)
         else (replace(step[0], time_s=step[0].time_s + 4096), step[1])
         for step in feed.steps
     )
@@ -114,7 +114,7 @@ def divide_the_frame(factory: Factory, drive: ShortDrive | None = None) -> Check
     steps, ends = [], [0]
     for step in feed.steps:
         parts = [step]
-        if isinstance(step, StereoFrame) and len(step.ids) > 1:
+        if isinstance(step, Frame) and len(step.ids) > 1:
             half = len(step.ids) // 2
             parts = [_rows(step, np.arange(half)), _rows(step, np.arange(half, len(step.ids)))]
         steps += parts
@@ -144,13 +144,13 @@ def divide_the_frame(factory: Factory, drive: ShortDrive | None = None) -> Check
 def hide_a_landmark(factory: Factory, drive: ShortDrive | None = None) -> CheckResult:
     """A landmark all of whose sightings are -1, against one that never existed."""
     feed = Feed.of(drive).streamed()
-    seen = np.concatenate([s.ids for s in feed.steps if isinstance(s, StereoFrame)])
+    seen = np.concatenate([s.ids for s in feed.steps if isinstance(s, Frame)])
     if not len(seen):
         raise NotApplicable("the drive has no sightings")
     hidden = int(np.bincount(seen).argmax())
 
-    def mask(_: int, frame: StereoFrame) -> StereoFrame:
-        return replace(frame, pixels=np.where((frame.ids == hidden)[:, None], -1.0, frame.pixels))
+    def mask(_: int, frame: Frame) -> Frame:
+        return frame.without((frame.ids == hidden)[:, None])
 
     never = feed.each_frame(lambda _, frame: _rows(frame, np.flatnonzero(frame.ids != hidden)))
     return alike(
@@ -162,17 +162,17 @@ def hide_a_landmark(factory: Factory, drive: ShortDrive | None = None) -> CheckR
 def ignore_an_empty_frame(factory: Factory, drive: ShortDrive | None = None) -> CheckResult:
     """A frame whose features are all -1 changes nothing but the clock."""
     feed = Feed.of(drive).streamed()
-    frames = [k for k, step in enumerate(feed.steps) if isinstance(step, StereoFrame)]
+    frames = [k for k, step in enumerate(feed.steps) if isinstance(step, Frame)]
     k = frames[len(frames) // 2]
-    known = np.unique(np.concatenate([s.ids for s in feed.steps[:k] if isinstance(s, StereoFrame)]))
+    known = np.unique(np.concatenate([s.ids for s in feed.steps[:k] if isinstance(s, Frame)]))
     ids = np.append(known, known.max(initial=0) + 1)  # and one that was never seen
 
     def with_frame(ids: IntArray) -> tuple[Call, ...]:
         frame = feed.steps[k]
-        assert isinstance(frame, StereoFrame)
-        empty = replace(
-            frame, ids=ids, pixels=np.full((len(ids), 4), -1.0), last=np.zeros(len(ids), bool)
-        )
+        assert isinstance(frame, Frame)
+        nothing = np.zeros((len(ids), frame.readings.shape[-1]))
+        empty = replace(frame, ids=ids, last=np.zeros(len(ids), bool)).with_readings(nothing)
+        empty = empty.without(np.ones_like(nothing, bool))
         return trace(factory, replace(feed, steps=(*feed.steps[:k], empty, *feed.steps[k + 1 :])))
 
     calls = with_frame(ids)
@@ -190,7 +190,7 @@ def ignore_a_half_missing_feature(factory: Factory, drive: ShortDrive | None = N
         lambda i, frame: _rows(frame, np.flatnonzero(~_halved(i, frame).any(axis=1)))
     )
     halved = feed.each_frame(
-        lambda i, frame: replace(frame, pixels=np.where(_halved(i, frame), -1.0, frame.pixels)),
+        lambda i, frame: frame.without(_halved(i, frame)),
     )
     return alike(trace(factory, without), trace(factory, halved), what="half-missing feature")
 
@@ -201,14 +201,10 @@ def ignore_what_a_mask_hides(factory: Factory, drive: ShortDrive | None = None) 
     feed = Feed.of(drive).streamed()
 
     def masked(shift_px: float) -> Feed:
-        def change(i: int, frame: StereoFrame) -> StereoFrame:
+        def change(i: int, frame: Frame) -> Frame:
             missing = _halved(i, frame)
-            return replace(
-                frame,
-                pixels=np.where(
-                    missing, -1.0, frame.pixels + shift_px * missing.any(axis=1, keepdims=True)
-                ),
-            )
+            shifted = frame.readings + shift_px * missing.any(axis=1, keepdims=True)
+            return frame.with_readings(shifted).without(missing)
 
         return feed.each_frame(change)
 
@@ -255,16 +251,18 @@ def _block_fault(belief: Belief) -> str | None:
     return None
 
 
-def _rows(frame: StereoFrame, kept: IntArray) -> StereoFrame:
-    return replace(frame, ids=frame.ids[kept], pixels=frame.pixels[kept], last=frame.last[kept])
+def _rows(frame: Frame, kept: IntArray) -> Frame:
+    fewer = replace(frame, ids=frame.ids[kept], last=frame.last[kept])
+    return fewer.with_readings(frame.readings[kept])
 
 
 #: Which coordinates go missing: the right image, the left one, one number of either.
 PATTERNS = np.array([[0, 0, 1, 1], [1, 1, 0, 0], [1, 0, 0, 0], [0, 0, 0, 1]], bool)
 
 
-def _halved(k: int, frame: StereoFrame) -> BoolArray:
-    """The coordinates to take from every other feature of a frame, shape (n, 4)."""
+def _halved(k: int, frame: Frame) -> BoolArray:
+    """The coordinates to take from every other feature of a frame, shape (n, c)."""
     place = k // 2 + np.arange(len(frame.ids))
     every_other = (place % 2 == 0)[:, None]
-    return np.asarray(PATTERNS[place // 2 % 4] & every_other)
+    coordinates = frame.readings.shape[-1]
+    return np.asarray(PATTERNS[place // 2 % 4, :coordinates] & every_other)

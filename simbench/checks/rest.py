@@ -99,7 +99,7 @@ def _feed(landmarks: int, *, steps: int, noise: float = 1.0) -> Feed:
         [rng.uniform(a, b, landmarks) for a, b in ((-2, 2), (-1.5, 1.5), (5, 8))], axis=-1
     )
     points = se3.apply(T @ CALIBRATION.T_imu_cam, p_cam)
-    matrices = camera_matrices(CALIBRATION.rig, CALIBRATION.T_imu_cam)
+    matrices = camera_matrices(CALIBRATION.stereo, CALIBRATION.T_imu_cam)
     ids = np.arange(landmarks)
     sequence: list[StereoFrame | tuple[Twist, float]] = []
     for k in range(SIGHTINGS * (steps + 1)):

@@ -13,10 +13,10 @@ import numpy as np
 
 from simbench.dataset import Dataset, Truth
 from simbench.errors import InputError
-from simbench.sensors.camera import camera_matrices, projected
-from vislam.arrays import Array
+from simbench.sensors import seen_from
+from vislam.arrays import Array, BoolArray
 from vislam.lie import se3
-from vislam.types import Belief, State, StereoFrame, Task, Twist
+from vislam.types import Belief, Frame, State, Task, Twist
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -31,7 +31,7 @@ class Readings:
 
     prior: Belief
     twists: tuple[Twist, ...]
-    frames: tuple[StereoFrame, ...]
+    frames: tuple[Frame, ...]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,7 +56,7 @@ class ShortDrive:
         if dataset.truth is None or dataset.sightings is None:
             raise InputError(f"{dataset.name}: expected simulated data: an audit needs the truth.")
         drive = cls(dataset=dataset, frames=len(dataset))
-        by_frame = [6 + 4 * int(np.count_nonzero(_whole(f.pixels))) for f in drive.schedule]
+        by_frame = [6 + int(np.count_nonzero(_noisy(frame))) for frame in drive.schedule]
         frames = int(np.searchsorted(np.cumsum(by_frame), most_scalars, side="right"))
         if frames < 2:
             raise InputError(
@@ -77,8 +77,8 @@ class ShortDrive:
         )
 
     @cached_property
-    def schedule(self) -> tuple[StereoFrame, ...]:
-        """The frames as simulated; of their pixels only what is missing matters."""
+    def schedule(self) -> tuple[Frame, ...]:
+        """The frames as simulated; of their readings only what is missing matters."""
         return tuple(self.dataset.frame(i) for i in range(self.frames))
 
     @cached_property
@@ -97,9 +97,9 @@ class ShortDrive:
     @cached_property
     def scalars(self) -> int:
         """N, the length of w."""
-        sightings = sum(np.count_nonzero(_whole(frame.pixels)) for frame in self.schedule)
-        rank_process = self._process_root.shape[1] * (self.frames - 1)
-        return int(self._prior_root.shape[1] + rank_process + 4 * sightings)
+        sightings = sum(int(np.count_nonzero(_noisy(frame))) for frame in self.schedule)
+        roots = (self._prior_root, *self._process_roots)
+        return int(sum(root.shape[1] for root in roots)) + sightings
 
     def state(self, frame: int) -> State:
         """The truth at a frame."""
@@ -118,18 +118,19 @@ class ShortDrive:
             return part @ root.T
 
         T_start = self.T_world_imu[0] @ se3.exp(-take(self._prior_root))
-        twists = tuple(self._measured(i, take(self._process_root)) for i in range(self.frames - 1))
+        twists = tuple(self._measured(i, take(root)) for i, root in enumerate(self._process_roots))
         frames = []
-        for frame, true in zip(self.schedule, self._true_pixels, strict=True):
-            pixels = np.broadcast_to(true, (*batch, *true.shape)).copy()
-            for k in np.flatnonzero(_whole(frame.pixels)):
-                pixels[..., k, :] += take(np.diag(self.dataset.noise.sigma_px))
-            frames.append(replace(frame, pixels=pixels))
+        for frame, true in zip(self.schedule, self._true_readings, strict=True):
+            z = np.broadcast_to(true, (*batch, *true.shape)).copy()
+            sigma = np.broadcast_to(self.dataset.noise.sigma(true), true.shape)
+            for k in np.flatnonzero(_noisy(frame)[:, 0]):
+                z[..., k, :] += take(np.diag(sigma[k]))
+            frames.append(frame.with_readings(z))
         return Readings(
             prior=replace(prior, T_world_imu=T_start), twists=twists, frames=tuple(frames)
         )
 
-    def inputs(self, readings: Readings) -> Iterator[StereoFrame | tuple[Twist, float]]:
+    def inputs(self, readings: Readings) -> Iterator[Frame | tuple[Twist, float]]:
         """Readings in the order of time: frames, between two of them a twist and its seconds."""
         yield readings.frames[0]
         for twist, tau, frame in zip(
@@ -144,7 +145,7 @@ class ShortDrive:
         match self.dataset.noise.process_model:
             case "additive":
                 u = se3.log(se3.exp(tau * u) @ se3.exp(-n)) / tau
-            case "twist":
+            case "twist" | "twist-relative":
                 u = u + n
             case "twist-density":
                 u = u + n / np.sqrt(tau)
@@ -162,17 +163,14 @@ class ShortDrive:
         return np.hstack([truth.linear_velocity[:last], truth.angular_velocity[:last]])
 
     @cached_property
-    def _true_pixels(self) -> list[Array]:
+    def _true_readings(self) -> list[Array]:
         """What each frame shows without noise; what is missing in the schedule is missing here."""
-        geometry = self._truth.calibration
-        matrices = camera_matrices(geometry.rig, geometry.T_imu_cam)
-        pixels = []
+        found = []
         for T, frame in zip(self.T_world_imu, self.schedule, strict=True):
-            seen, _ = projected(
-                matrices, se3.apply(se3.inverse(T), self._truth.landmarks[frame.ids])
-            )
-            pixels.append(np.where(frame.pixels == -1, -1.0, seen))
-        return pixels
+            p_imu = se3.apply(se3.inverse(T), self._truth.landmarks[frame.ids])
+            shown = frame.with_readings(seen_from(self._truth.calibration, p_imu))
+            found.append(shown.without(~frame.there).readings)
+        return found
 
     @cached_property
     def _prior_root(self) -> Array:
@@ -180,13 +178,15 @@ class ShortDrive:
         return _root(np.zeros((6, 6)) if P is None else P)
 
     @cached_property
-    def _process_root(self) -> Array:
-        return _root(self.dataset.noise.process)
+    def _process_roots(self) -> list[Array]:
+        """Of the noise of each twist sample."""
+        return [_root(self.dataset.noise.twist_covariance(u)) for u in self._true_twists]
 
 
-def _whole(pixels: Array) -> Array:
-    """Which features have all four coordinates."""
-    return np.asarray((pixels != -1).all(axis=-1))
+def _noisy(frame: Frame) -> BoolArray:
+    """Which numbers of a frame have noise: those of a sighting that is whole, shape (n, c)."""
+    whole: BoolArray = np.all(frame.there, axis=-1, keepdims=True)
+    return np.broadcast_to(whole, frame.there.shape)
 
 
 def _root(P: Array) -> Array:

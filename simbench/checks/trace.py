@@ -15,7 +15,7 @@ from simbench.rng import stream
 from vislam.arrays import Array, IntArray
 from vislam.filters import Factory
 from vislam.filters.records import Augment, Drop, Record
-from vislam.types import Belief, Innovation, StereoFrame, Task, Twist
+from vislam.types import Belief, Frame, Innovation, Task, Twist
 
 #: The scene of a check that is given none: births, gaps, halved sightings, four pixel sigmas.
 SCENE = "births"
@@ -31,7 +31,7 @@ class Feed:
     """
 
     task: Task
-    steps: tuple[StereoFrame | tuple[Twist, float], ...]
+    steps: tuple[Frame | tuple[Twist, float], ...]
 
     @classmethod
     def of(cls, drive: ShortDrive | None, noise: float = 1.0, draw: int = 0) -> "Feed":
@@ -49,10 +49,10 @@ class Feed:
             task=replace(drive.task, prior=readings.prior), steps=tuple(drive.inputs(readings))
         )
 
-    def each_frame(self, change: Callable[[int, StereoFrame], StereoFrame]) -> "Feed":
+    def each_frame(self, change: Callable[[int, Frame], Frame]) -> "Feed":
         """With changed frames, each given with its place among the steps."""
         steps = (
-            change(k, step) if isinstance(step, StereoFrame) else step
+            change(k, step) if isinstance(step, Frame) else step
             for k, step in enumerate(self.steps)
         )
         return replace(self, steps=tuple(steps))

@@ -9,6 +9,7 @@ left and the right camera in optical axes, ``base_link_gt`` is the body in truth
 |---|---|
 | `/tf_static`, `/ground_truth/path`, `/ground_truth/landmarks` | once, at the start |
 | `/cam0/camera_info`, `/cam1/camera_info`, `/stereo/features`, `/twist` | each frame |
+| `/point/features` | each frame, of a point sensor at ``cam0``; then none of the stereo pair's |
 | `/imu0` | each raw sample |
 | `/cam0/image/compressed`, `/cam1/image/compressed` | at most 20 a second: the features, drawn |
 | `/tf`, `/ground_truth/odometry`, `/ground_truth/pose` | each frame |

@@ -11,6 +11,7 @@ import numpy as np
 from simbench.dataset import Dataset, Truth
 from vislam.arrays import Array
 from vislam.camera import StereoRig
+from vislam.point import PointSensor
 from vislam.types import Belief, Calibration, Noise
 
 #: Wall-clock figures: they differ from run to run, and equal runs give equal bytes.
@@ -42,11 +43,7 @@ def load_told(data: bytes) -> dict[str, Any]:
     true_calibration = told["true_calibration"]
     return {
         "calibration": _calibration(told["calibration"]),
-        "noise": Noise(
-            process_model=told["noise"]["process_model"],
-            process=np.array(told["noise"]["process"]),
-            sigma_px=np.array(told["noise"]["sigma_px"]),
-        ),
+        "noise": _noise(told["noise"]),
         "prior": _belief(told["prior"]),
         "gate": told["gate"],
         "landmark_count": told["landmark_count"],
@@ -56,10 +53,17 @@ def load_told(data: bytes) -> dict[str, Any]:
 
 
 def _calibration(told: dict[str, Any]) -> Calibration:
-    rig = told["rig"]
-    if rig["image_px"] is not None:
-        rig["image_px"] = tuple(rig["image_px"])
-    return Calibration(rig=StereoRig(**rig), T_imu_cam=np.array(told["T_imu_cam"]))
+    rig = {k: tuple(v) if isinstance(v, list) else v for k, v in told["rig"].items()}
+    sensor: Any = PointSensor if "range_m" in rig else StereoRig
+    return Calibration(rig=sensor(**rig), T_imu_cam=np.array(told["T_imu_cam"]))
+
+
+def _noise(told: dict[str, Any]) -> Noise:
+    fields: dict[str, Any] = {
+        name: np.array(value, float) if isinstance(value, list) else value
+        for name, value in told.items()
+    }
+    return Noise(**fields)
 
 
 def _belief(told: dict[str, Any]) -> Belief:

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from vislam.arrays import Array, BoolArray, IntArray
 from vislam.camera import StereoRig
-from vislam.types import StereoFrame
+from vislam.types import PointFrame, StereoFrame
 
 #: Our own types, a ROS package to build beside these files.
 INTERFACES = Path(__file__).with_name("simbench_msgs")
@@ -225,6 +225,23 @@ def of_features(message: Message) -> tuple[IntArray, Array, BoolArray]:
     pixels = np.stack([message.u0, message.v0, message.u1, message.v1], axis=-1)
     last = (message.flags & LAST).astype(bool)
     return message.track_id.astype(np.int64), np.where(np.isnan(pixels), -1.0, pixels), last
+
+
+def points(ns: int, frame: PointFrame) -> Message:
+    """The readings of a point sensor in a frame; NaN, "not seen", stays."""
+    return make(
+        "simbench_msgs/PointFeatures",
+        header(ns, "cam0"),
+        frame.ids.astype(np.uint32),
+        *np.ascontiguousarray(frame.points.T, float),
+        np.where(frame.last, LAST, 0).astype(np.uint8),
+    )
+
+
+def of_points(message: Message) -> tuple[IntArray, Array, BoolArray]:
+    """What `points` was made of: ids (n,), points (n, 3), last (n,)."""
+    found = np.stack([message.x, message.y, message.z], axis=-1)
+    return message.track_id.astype(np.int64), found, (message.flags & LAST).astype(bool)
 
 
 def cloud(ns: int, points: Array, ids: IntArray, **more: Array) -> Message:

@@ -6,8 +6,9 @@ from enum import IntEnum
 import numpy as np
 from PIL import Image
 
-from simbench.dataset import Dataset
+from simbench.dataset import Dataset, Sightings
 from vislam.arrays import Array, IntArray
+from vislam.camera import StereoRig
 from vislam.types import Innovation, StereoFrame
 
 
@@ -64,11 +65,12 @@ def draw(pixels: Array, fate: IntArray, size_px: tuple[int, int]) -> bytes:
 
 def size_px(dataset: Dataset) -> tuple[int, int]:
     """Width and height of the images; where nobody says, what holds the features, or (0, 0)."""
-    if dataset.calibration.rig.image_px is not None:
-        width, height = dataset.calibration.rig.image_px
-    elif dataset.sightings is None:
+    rig, sightings = dataset.calibration.rig, dataset.sightings
+    if isinstance(rig, StereoRig) and rig.image_px is not None:
+        width, height = rig.image_px
+    elif not isinstance(sightings, Sightings):
         width, height = 0, 0
     else:
-        corner = dataset.sightings.pixels.reshape(-1, 2).max(axis=0, initial=-1)
+        corner = sightings.pixels.reshape(-1, 2).max(axis=0, initial=-1)
         width, height = np.minimum(np.ceil(corner) + 1, MOST_PX)
     return int(width), int(height)

@@ -12,7 +12,7 @@ from mcap.records import Attachment, Channel, McapRecord, Message, Metadata, Sch
 from mcap.stream_reader import StreamReader
 from mcap.writer import MCAP0_MAGIC
 
-from simbench.dataset import Dataset, Origin, RawImu, Sightings, Truth, seconds
+from simbench.dataset import Dataset, Origin, PointSightings, RawImu, Sightings, Truth, seconds
 from simbench.errors import DatasetError
 from simbench.mcap import attachments
 from simbench.mcap import messages as m
@@ -181,7 +181,8 @@ def _dataset(contents: Contents, metadata: dict[str, str]) -> Dataset:
     told = attachments.load_told(contents.attachments["calibration.json"])
     true_calibration = told.pop("true_calibration")
     epoch_ns = int(metadata["epoch_ns"])
-    twists, features = contents.decoded("/twist"), contents.decoded("/stereo/features")
+    twists = contents.decoded("/twist")
+    features = contents.decoded("/stereo/features") or contents.decoded("/point/features")
     frames = min(len(twists), len(features)) if features else len(twists)
     if not frames:
         raise DatasetError(f"{contents.path}: expected frames, but the recording ends before any.")
@@ -212,14 +213,15 @@ def _vectors(messages: list[m.Message]) -> Array:
     return np.array([[v.x, v.y, v.z] for v in messages])
 
 
-def _sightings(features: list[m.Message]) -> Sightings:
-    ids, pixels, last = zip(*map(m.of_features, features), strict=True)
-    return Sightings(
-        start=np.cumsum([0, *map(len, ids)]),
-        ids=np.concatenate(ids),
-        pixels=np.concatenate(pixels),
-        last=np.concatenate(last),
-    )
+def _sightings(features: list[m.Message]) -> Sightings | PointSightings:
+    of_points = "Point" in features[0].__msgtype__
+    frames = map(m.of_points if of_points else m.of_features, features)
+    ids, readings, last = (list(column) for column in zip(*frames, strict=True))
+    start, joined = np.cumsum([0, *map(len, ids)]), np.concatenate(ids)
+    z, ends = np.concatenate(readings), np.concatenate(last)
+    if of_points:
+        return PointSightings(start=start, ids=joined, points=z, last=ends)
+    return Sightings(start=start, ids=joined, pixels=z, last=ends)
 
 
 def _imu(contents: Contents, epoch_ns: int, true_biases: dict[str, Array | None]) -> RawImu | None:

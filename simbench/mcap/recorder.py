@@ -20,7 +20,8 @@ from simbench.mcap.provenance import LIBRARY, provenance
 from simbench.mcap.times import SECOND_NS, epoch_ns, spaced
 from simbench.metrics import chi_square_band, nees
 from simbench.run import RunRecord, Step
-from vislam.types import Belief, Innovation, StereoFrame
+from vislam.camera import StereoRig
+from vislam.types import Belief, Innovation, PointFrame, StereoFrame
 
 #: Written once.
 LATCHED = {"/tf_static", "/ground_truth/path", "/ground_truth/landmarks", "/smoothed/path"}
@@ -100,10 +101,9 @@ class Recorder:
         self._channels: dict[str, Any] = {}
         self._schemas: dict[str, Any] = {}
         self._cameras = {
-            f"/cam{i}/camera_info": m.camera_info(
-                0, dataset.calibration.rig, self._size_px, right=bool(i)
-            )
+            f"/cam{i}/camera_info": m.camera_info(0, rig, self._size_px, right=bool(i))
             for i in (0, 1)
+            if isinstance(rig := dataset.calibration.rig, StereoRig)
         }
         # Some methods of Writer carry no types. Its check sum over all finds damage to attachments.
         self._writer: Any = Writer(stream, enable_data_crcs=True)
@@ -118,8 +118,9 @@ class Recorder:
             self._flush_ns += SECOND_NS * (1 + (ns - self._flush_ns) // SECOND_NS)
         self._write_imu(until=bisect_right(self._imu_ns, ns))
         self._write_readings(ns, frame)
-        if frame in self._drawn_frames:
-            self._write_pictures(ns, self._dataset.frame(frame), innovation)
+        features = self._dataset.frame(frame)
+        if frame in self._drawn_frames and isinstance(features, StereoFrame):
+            self._write_pictures(ns, features, innovation)
         if self._dataset.truth is not None:
             self._write_truth(ns, frame, self._dataset.truth)
 
@@ -167,10 +168,11 @@ class Recorder:
         frames = [m.Frame("map", "odom", here), m.Frame("base_link", "imu", here)]
         if self._filter is None and self._dataset.truth is not None:
             frames.append(m.Frame("base_link_gt", "base_link", here))
-        T_cam0_cam1 = np.eye(4)
-        T_cam0_cam1[0, 3] = calibration.rig.baseline_m
         frames.append(m.Frame("imu", "cam0", m.pose(calibration.T_imu_cam)))
-        frames.append(m.Frame("cam0", "cam1", m.pose(T_cam0_cam1)))
+        if isinstance(calibration.rig, StereoRig):
+            T_cam0_cam1 = np.eye(4)
+            T_cam0_cam1[0, 3] = calibration.rig.baseline_m
+            frames.append(m.Frame("cam0", "cam1", m.pose(T_cam0_cam1)))
         return frames
 
     def _write_imu(self, until: int) -> None:
@@ -186,10 +188,11 @@ class Recorder:
         for topic, camera in self._cameras.items():
             camera.header.stamp = m.stamp(ns)
             self._write(topic, ns, camera)
-        if dataset.sightings is not None:
-            self._write(
-                "/stereo/features", ns, m.features(ns, dataset.frame(frame), noise.sigma_px)
-            )
+        features = dataset.frame(frame) if dataset.sightings is not None else None
+        if isinstance(features, StereoFrame):
+            self._write("/stereo/features", ns, m.features(ns, features, noise.sigma_px))
+        if isinstance(features, PointFrame):
+            self._write("/point/features", ns, m.points(ns, features))
         # The other noise models are no covariance of this sample.
         covariance = noise.process if noise.process_model == "twist" else m.UNKNOWN_COVARIANCE
         velocity = m.twist(dataset.linear_velocity[frame], dataset.angular_velocity[frame])

@@ -122,7 +122,7 @@ def whiteness(innovations: Sequence[Innovation | None], lags: int = 1) -> Whiten
     """Whether accepted innovations of one landmark are uncorrelated from frame to frame.
 
     The whitened residuals of a right filter are independent, with mean zero. Each of a landmark's
-    four numbers is multiplied with the same one `lag` frames later, and the products are averaged
+    numbers is multiplied with the same one `lag` frames later, and the products are averaged
     over landmarks and frames; a landmark that is lost or refused in between leaves a gap.
 
     Args:
@@ -131,7 +131,7 @@ def whiteness(innovations: Sequence[Innovation | None], lags: int = 1) -> Whiten
 
     Source: Ljung, Box, Biometrika 65(2), 1978, for series with gaps.
     """
-    none = (np.empty(0, np.int64), np.empty((0, 4)))
+    none = (np.empty(0, np.int64), np.empty((0, 1)))
     frames = [
         none if i is None else (i.ids[i.accepted], i.whitened[i.accepted]) for i in innovations
     ]
@@ -142,7 +142,7 @@ def whiteness(innovations: Sequence[Innovation | None], lags: int = 1) -> Whiten
         for (ids, w), (later_ids, later_w) in zip(frames[:-lag], frames[lag:], strict=True):
             _, a, b = np.intersect1d(ids, later_ids, assume_unique=True, return_indices=True)
             products[lag - 1] += np.sum(w[a] * later_w[b])
-            pairs[lag - 1] += 4 * len(a)
+            pairs[lag - 1] += later_w[b].size
     seen = pairs > 0
     r = np.full(lags, np.nan)
     r[seen] = products[seen] / pairs[seen] / power

@@ -8,12 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simbench.dataset import Dataset, Origin, RawImu, Sightings, Truth
+from simbench.errors import DatasetError
 from simbench.files import replacing
 from simbench.npz.archive import Sparse, write_arrays, write_sparse
 from simbench.npz.dialects import DEFAULT, Dialect
 from simbench.npz.layout import FORMER_NAMES, process_scale
 from simbench.sensors.inertial import never_zero
 from vislam.arrays import Array
+from vislam.point import PointSensor
 
 
 def write_npz(path: Path, dataset: Dataset, dialect: Dialect = DEFAULT) -> None:
@@ -29,8 +31,14 @@ def write_npz(path: Path, dataset: Dataset, dialect: Dialect = DEFAULT) -> None:
             later read.
 
     Raises:
+        DatasetError: the data are of a point sensor.
         OutputError: the file cannot be written.
     """
+    if isinstance(dataset.calibration.rig, PointSensor):
+        raise DatasetError(
+            f"{path}: expected the features of a stereo pair, which are all that the format of the "
+            f"course holds, got the readings of a point sensor; record {dataset.name} as an MCAP."
+        )
     arrays = _told(dataset)
     if dataset.truth is not None:
         arrays |= _truth(dataset.truth)
@@ -39,7 +47,7 @@ def write_npz(path: Path, dataset: Dataset, dialect: Dialect = DEFAULT) -> None:
     if dataset.origin is not None:
         arrays |= _origin(dataset.origin)
     features = None
-    if dataset.sightings is not None and dialect.year != "2021":
+    if isinstance(dataset.sightings, Sightings) and dialect.year != "2021":
         features = _features(dataset.sightings, (4, dataset.landmark_count, len(dataset)))
     with replacing(path) as partial:
         if dialect.year == "2025":
@@ -53,7 +61,7 @@ def write_npz(path: Path, dataset: Dataset, dialect: Dialect = DEFAULT) -> None:
 
 
 def _format(dataset: Dataset, dialect: Dialect) -> dict[str, NDArray[Any]]:
-    rig = dataset.calibration.rig
+    rig = dataset.calibration.stereo
     arrays = {
         "time_stamps": dataset.times_s[None],
         "linear_velocity": dataset.linear_velocity.T,
@@ -68,7 +76,7 @@ def _format(dataset: Dataset, dialect: Dialect) -> dict[str, NDArray[Any]]:
 
 
 def _format_2025(dataset: Dataset, dialect: Dialect) -> dict[str, NDArray[Any]]:
-    rig, T_imu_left = dataset.calibration.rig, dataset.calibration.T_imu_cam
+    rig, T_imu_left = dataset.calibration.stereo, dataset.calibration.T_imu_cam
     T_left_right = np.eye(4)
     T_left_right[0, 3] = rig.baseline_m
     return {
@@ -96,7 +104,7 @@ def _write_dict(path: Path, arrays: dict[str, NDArray[Any]], features: Sparse | 
 
 
 def _told(dataset: Dataset) -> dict[str, NDArray[Any]]:
-    noise, rig = dataset.noise, dataset.calibration.rig
+    noise, rig = dataset.noise, dataset.calibration.stereo
     sigma = np.sqrt(np.diag(noise.process)) / process_scale(noise.process_model, dataset.times_s)
     image = {} if rig.image_px is None else {"image_size": np.array(rig.image_px, float)}
     return image | {
@@ -122,7 +130,7 @@ def _truth(truth: Truth) -> dict[str, NDArray[Any]]:
         "truth_linear_velocity": truth.linear_velocity.T,
         "truth_angular_velocity": truth.angular_velocity.T,
         "truth_imu_T_cam": truth.calibration.T_imu_cam,
-        "truth_b": np.array(truth.calibration.rig.baseline_m, float),
+        "truth_b": np.array(truth.calibration.stereo.baseline_m, float),
     }
 
 

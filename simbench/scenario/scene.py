@@ -3,10 +3,11 @@
 import hashlib
 from typing import Annotated, Any
 
+import numpy as np
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from simbench.scenario.landmarks import AlongPath, LandmarkKind
-from simbench.scenario.sensors import Camera, Filter, Imu, Prior, Rig, Told
+from simbench.scenario.sensors import Camera, Filter, Imu, PointSensor, Prior, Rig, Told
 from simbench.scenario.text import dump
 from simbench.scenario.trajectories import Figure8, TrajectoryKind
 from simbench.scenario.values import Integer, Number, Positive, Section, Text, fault
@@ -33,6 +34,8 @@ class Scenario(Section):
     rig: Rig = Rig()
     imu: Imu = Imu()
     camera: Camera = Camera()
+    point: PointSensor | None = None
+    """A point sensor in place of the stereo pair."""
     prior: Prior = Prior()
     told: Told = Told()
     filter: Filter = Filter()
@@ -65,6 +68,30 @@ class Scenario(Section):
                 end=end_s,
                 got=self.duration_s,
             )
+        return self
+
+    @model_validator(mode="after")
+    def _uses_what_it_says(self) -> "Scenario":
+        relative = self.filter.process_noise == "twist-relative"
+        for name, section in (
+            ("velocity", self.imu.velocity),
+            ("angular_velocity", self.imu.angular_velocity),
+        ):
+            if np.any(section.share) and not relative:
+                raise fault(
+                    "expected filter.process_noise: twist-relative beside a share, got {got}",
+                    key=f"imu.{name}.share",
+                    got=self.filter.process_noise,
+                )
+        if self.point is None:
+            return self
+        for key, of_stereo in (
+            ("camera.half_missing", self.camera.half_missing > 0),
+            ("camera.outliers", self.camera.outliers.share > 0),
+            ("told.baseline_scale", self.told.baseline_scale != 1),
+        ):
+            if of_stereo:
+                raise fault("goes with a stereo pair, but the scene has a point sensor", key=key)
         return self
 
     def to_yaml(self) -> str:

@@ -68,6 +68,8 @@ class TwistNoise(Section):
     """White noise of a sample, and a bias: its sigma at the start and its random walk."""
 
     sigma: PerAxis
+    share: PerAxis = 0.0
+    """With process_noise twist-relative: of the true value, where that is more than sigma."""
     bias_sigma: PerAxis = 0.0
     bias_walk: PerAxis = 0.0
 
@@ -157,6 +159,29 @@ class Camera(Section):
     """Left out, a landmark is seen whenever it is in view."""
 
 
+class PointSensor(Section):
+    """A sensor that reads where landmarks are in its own frame, in place of the stereo pair.
+
+    It stands at rig.imu_cam; of camera, dropout, walls and tracks are its own too.
+    """
+
+    range_m: Range = (0.5, 20.0)
+    """Nearer and farther than this nothing is seen."""
+    view_deg: Annotated[Positive, Field(le=360)] = 120.0
+    """Opening of the cone about its z axis in which it sees."""
+    share: NonNegative = 0.01
+    """Sigma of a coordinate as a share of its true value."""
+    floor_m: Positive = 0.05
+    """The least sigma of a coordinate."""
+
+    @field_validator("range_m")
+    @classmethod
+    def _not_negative(cls, value: tuple[float, float]) -> tuple[float, float]:
+        if value[0] < 0:
+            raise fault("expected distances of at least 0, got {got}", got=value[0])
+        return value
+
+
 class Prior(Section):
     """The initial estimate is drawn from this, and the filter is told so."""
 
@@ -171,15 +196,17 @@ class Told(Section):
     translation_error_m: Point = (0.0, 0.0, 0.0)
     baseline_scale: Positive = 1.0
     pixel_sigma_scale: Positive = 1.0
+    """Of a sighting's noise, that of a point sensor too."""
     twist_sigma_scale: Positive = 1.0
 
 
 class Filter(Section):
     """How the filter is set."""
 
-    process_noise: Literal["twist", "twist-density", "additive"] = "twist"
-    """Noise of a twist sample: the same for any interval, or a density (sigma is that of an
-    interval of 1 / rate_hz, and falls with the root of longer ones), or the paper's constant W."""
+    process_noise: Literal["twist", "twist-relative", "twist-density", "additive"] = "twist"
+    """Noise of a twist sample: the same for any interval, or at least a share of the twist, or a
+    density (sigma is that of an interval of 1 / rate_hz, and falls with the root of longer ones),
+    or the paper's constant W."""
     gate: WordOr[Literal["none"], Annotated[Number, Field(gt=0, lt=1)]] = "none"
     """Probability of the chi-square gate, or none."""
 

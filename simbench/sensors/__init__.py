@@ -3,17 +3,18 @@
 import numpy as np
 
 from simbench import __version__, landmarks, trajectory
-from simbench.dataset import Dataset, Origin, Truth
+from simbench.dataset import Dataset, Origin, PointSightings, Sightings, Truth
 from simbench.errors import InputError
 from simbench.rng import stream
 from simbench.scenario import Scenario
-from simbench.sensors import camera, inertial
+from simbench.sensors import camera, inertial, point
 from vislam.arrays import Array
 from vislam.camera import StereoRig
 from vislam.lie import se3, so3
+from vislam.point import PointSensor
 from vislam.types import Belief, Calibration
 
-__all__ = ["simulate"]
+__all__ = ["seen_from", "simulate"]
 
 
 def simulate(scenario: Scenario, seed: int | None = None, run: int = 0) -> Dataset:
@@ -34,13 +35,13 @@ def simulate(scenario: Scenario, seed: int | None = None, run: int = 0) -> Datas
     Ts_world_imu = drive.T_world_imu(times_s)
     true = inertial.true_twists(scenario, drive, times_s)
     measured = inertial.measured_twists(scenario, seed, run, times_s, true)
-    sightings = camera.sightings(scenario, seed, run, Ts_world_imu, points)
+    sightings: Sightings | PointSightings
+    if scenario.point is None:
+        sightings = camera.sightings(scenario, seed, run, Ts_world_imu, points)
+    else:
+        sightings = point.sightings(scenario, scenario.point, seed, run, Ts_world_imu, points)
     if not len(sightings):
-        raise InputError(
-            f"{scenario.name}: no landmark is ever seen: expected some of the {len(points)} within "
-            f"depth_m {list(scenario.rig.depth_m)} and in both images, in front of the walls; move "
-            "landmarks to the path, widen rig.depth_m, or look at rig.imu_cam and camera."
-        )
+        raise InputError(_nothing_seen(scenario, len(points)))
     return Dataset(
         name=scenario.name,
         times_s=times_s,
@@ -64,6 +65,28 @@ def simulate(scenario: Scenario, seed: int | None = None, run: int = 0) -> Datas
     )
 
 
+def seen_from(calibration: Calibration, p_imu: Array) -> Array:
+    """What the sensor reads of points in the IMU frame, without noise, (n, 3) to (n, c)."""
+    if isinstance(calibration.rig, PointSensor):
+        return point.relative(calibration.T_imu_cam, p_imu)
+    matrices = camera.camera_matrices(calibration.rig, calibration.T_imu_cam)
+    return camera.projected(matrices, p_imu)[0]
+
+
+def _nothing_seen(scenario: Scenario, landmarks: int) -> str:
+    none = f"{scenario.name}: no landmark is ever seen: expected some of the {landmarks} within"
+    if scenario.point is not None:
+        return (
+            f"{none} range_m {list(scenario.point.range_m)} and the cone of "
+            f"{scenario.point.view_deg:g} degrees, in front of the walls; move landmarks to the "
+            "path, widen point.range_m, or look at rig.imu_cam and camera."
+        )
+    return (
+        f"{none} depth_m {list(scenario.rig.depth_m)} and in both images, in front of the walls; "
+        "move landmarks to the path, widen rig.depth_m, or look at rig.imu_cam and camera."
+    )
+
+
 def frame_times(scenario: Scenario, seed: int, run: int) -> Array:
     """Times of the frames, whole nanoseconds from 0, each jittered about its regular time."""
     count = round(scenario.duration_s * scenario.rate_hz) + 1
@@ -74,8 +97,10 @@ def frame_times(scenario: Scenario, seed: int, run: int) -> Array:
     return np.rint(places / scenario.rate_hz * 1e9) / 1e9
 
 
-def _rig(scenario: Scenario, baseline_scale: float = 1.0) -> StereoRig:
-    rig = scenario.rig
+def _rig(scenario: Scenario, baseline_scale: float = 1.0) -> StereoRig | PointSensor:
+    rig, sensor = scenario.rig, scenario.point
+    if sensor is not None:
+        return PointSensor(range_m=sensor.range_m, view_deg=sensor.view_deg)
     return StereoRig(
         fx_px=rig.fx_px,
         fy_px=rig.fy_px,

@@ -85,20 +85,37 @@ def sightings(
     """
     matrices = camera_matrices(scenario.rig, scenario.rig.T_imu_cam)
     columns = [
-        _reported(scenario, _Chance(seed, run, i), *visible(scenario, matrices, T, landmarks))
+        _reported(scenario, Chance(seed, run, i), *visible(scenario, matrices, T, landmarks))
         for i, T in enumerate(Ts_world_imu)
     ]
+    return Sightings.from_frames(kept_by_tracker(scenario, seed, run, columns, len(landmarks)))
+
+
+def kept_by_tracker(
+    scenario: Scenario,
+    seed: int,
+    run: int,
+    columns: list[tuple[IntArray, Array, BoolArray]],
+    landmarks: int,
+) -> list[tuple[IntArray, Array]]:
+    """The ids and readings of each frame, where the tracker has not lost them.
+
+    Args:
+        scenario: the scene.
+        seed: its seed.
+        run: the run number.
+        columns: of each frame the ids, the readings, and which of them were not lost at once.
+        landmarks: how many there are.
+    """
     frames = np.repeat(np.arange(len(columns)), [len(ids) for ids, _, _ in columns])
-    ids, pixels, kept = (np.concatenate(column) for column in zip(*columns, strict=True))
+    ids, readings, kept = (np.concatenate(column) for column in zip(*columns, strict=True))
     if scenario.camera.tracks is not None and len(ids):
-        u = stream(seed, run, "camera.tracks").random((len(landmarks), 2))
+        u = stream(seed, run, "camera.tracks").random((landmarks, 2))
         kept &= _tracked(scenario.camera.tracks, frames, ids, u)
-        frames_of = np.bincount(ids[kept], minlength=len(landmarks))
+        frames_of = np.bincount(ids[kept], minlength=landmarks)
         kept &= (frames_of >= scenario.camera.tracks.min_frames)[ids]
     parts = np.searchsorted(frames[kept], np.arange(1, len(columns)))
-    return Sightings.from_frames(
-        list(zip(np.split(ids[kept], parts), np.split(pixels[kept], parts), strict=True))
-    )
+    return list(zip(np.split(ids[kept], parts), np.split(readings[kept], parts), strict=True))
 
 
 def visible(
@@ -124,7 +141,7 @@ def _inside(scenario: Scenario, pixels: Array) -> BoolArray:
     return np.asarray(((pixels >= 0) & (pixels <= last)).all(axis=1))
 
 
-class _Chance:
+class Chance:
     """The random rows of one frame: one stream a purpose, one row a landmark.
 
     A row is drawn for every landmark up to the last visible one, so no row depends on which others
@@ -135,9 +152,11 @@ class _Chance:
         self._seed, self._run, self._frame = seed, run, frame
 
     def uniform(self, purpose: str, ids: IntArray, columns: int) -> Array:
+        """Between 0 and 1, shape (n, columns)."""
         return self._rng(purpose).random((ids.max(initial=-1) + 1, columns))[ids]
 
     def normal(self, purpose: str, ids: IntArray, columns: int) -> Array:
+        """Standard normal, shape (n, columns)."""
         return self._rng(purpose).standard_normal((ids.max(initial=-1) + 1, columns))[ids]
 
     def _rng(self, purpose: str) -> np.random.Generator:
@@ -145,7 +164,7 @@ class _Chance:
 
 
 def _reported(
-    scenario: Scenario, chance: _Chance, ids: IntArray, true_pixels: Array
+    scenario: Scenario, chance: Chance, ids: IntArray, true_pixels: Array
 ) -> tuple[IntArray, Array, BoolArray]:
     """What a tracker could follow: ids, pixels, and whether it is reported in this frame.
 

@@ -1,5 +1,6 @@
 """Readings of motion: twist samples with noise and bias, and a raw IMU."""
 
+from dataclasses import replace
 from typing import TypeAlias
 
 import numpy as np
@@ -34,20 +35,30 @@ def true_twists(scenario: Scenario, trajectory: Trajectory, times_s: Array) -> A
 
 def told_noise(scenario: Scenario) -> Noise:
     """What the filter is told: the model that `measured_twists` draws from, scaled."""
-    model = scenario.filter.process_noise
-    sigma = scenario.told.twist_sigma_scale * _sigma(scenario)
-    sigma = sigma / scenario.rate_hz ** {"twist": 0, "twist-density": 0.5, "additive": 1}[model]
-    return Noise(
+    model, told = scenario.filter.process_noise, scenario.told
+    power = {"twist": 0, "twist-relative": 0, "twist-density": 0.5, "additive": 1}[model]
+    sigma = told.twist_sigma_scale * _each_axis(scenario, "sigma") / scenario.rate_hz**power
+    motion = Noise(
         process_model=model,
         process=np.diag(np.square(sigma)),
-        sigma_px=scenario.told.pixel_sigma_scale * np.broadcast_to(scenario.camera.sigma_px, 4),
+        twist_share=told.twist_sigma_scale * _each_axis(scenario, "share"),
+        sigma_px=told.pixel_sigma_scale * np.broadcast_to(scenario.camera.sigma_px, 4),
+    )
+    if scenario.point is None:
+        return motion
+    return replace(
+        motion,
+        sigma_px=np.empty(0),
+        point_share=told.pixel_sigma_scale * scenario.point.share,
+        point_floor_m=told.pixel_sigma_scale * scenario.point.floor_m,
     )
 
 
 def measured_twists(scenario: Scenario, seed: int, run: int, times_s: Array, true: Array) -> Array:
     """The samples as measured, shape (T, 6).
 
-    `twist`: u = u_true + n, n ~ N(0, sigma^2). `additive`: exp(tau u^) = exp(tau u_true^) exp(-w^),
+    `twist`: u = u_true + n, n ~ N(0, sigma^2). `twist-relative`: the same, where a component's
+    sigma is share |u_true|, if that is more. `additive`: exp(tau u^) = exp(tau u_true^) exp(-w^),
     w ~ N(0, (sigma / rate)^2), so that T_true+ = T_true exp(tau u^) exp(w^). `twist-density`:
     n ~ N(0, sigma^2 / (rate tau)). The bias is added to the reading.
     """
@@ -57,7 +68,8 @@ def measured_twists(scenario: Scenario, seed: int, run: int, times_s: Array, tru
         stream(seed, run, "twist.noise", name).standard_normal((len(true), 3))
         for name, _ in sections
     ]
-    noise = _sigma(scenario) * np.concatenate(z, axis=1)
+    sigma = np.maximum(_each_axis(scenario, "sigma"), _each_axis(scenario, "share") * np.abs(true))
+    noise = sigma * np.concatenate(z, axis=1)
     tau = np.append(np.diff(times_s), 1 / scenario.rate_hz)
     measured = true + noise
     if scenario.filter.process_noise == "twist-density":
@@ -129,9 +141,7 @@ def never_zero(angular_velocity: Array) -> Array:
     return np.where(still, [0.0, 0.0, 1e-15], angular_velocity)
 
 
-def _sigma(scenario: Scenario) -> Array:
-    """Of a sample of (v, omega), shape (6,)."""
-    imu = scenario.imu
-    return np.concatenate(
-        [np.broadcast_to(s.sigma, 3) for s in (imu.velocity, imu.angular_velocity)]
-    )
+def _each_axis(scenario: Scenario, key: str) -> Array:
+    """A key of the noise of a sample of (v, omega), shape (6,)."""
+    sections = (scenario.imu.velocity, scenario.imu.angular_velocity)
+    return np.concatenate([np.broadcast_to(getattr(section, key), 3) for section in sections])

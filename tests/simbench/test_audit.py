@@ -94,8 +94,8 @@ def wrong_sign(T, T_next):
     return Parts().transition(T_next, T)
 
 
-def one_tenth_of_a_pixel_off(noise):
-    return Parts().whitening(replace(noise, sigma_px=noise.sigma_px * 1.1))
+def one_tenth_of_a_pixel_off(noise, predicted):
+    return Parts().whitening(replace(noise, sigma_px=noise.sigma_px * 1.1), predicted)
 
 
 @pytest.mark.parametrize(

@@ -107,7 +107,7 @@ def test_a_covariance_never_symmetrised_drifts_from_symmetry_by_rounding_alone()
 def test_the_gate_of_the_wrong_dof_refuses_more_than_it_is_told():
     gate = mutant("slam+gate-of-wrong-dof")(drive("births").task).parts.gate
     distances = chi2(4).ppf(np.linspace(0, 1, 1001)[:-1])
-    share = np.mean(gate(distances, 0.95))
+    share = np.mean(gate(distances, 0.95, 4))
     assert share == pytest.approx(chi2(4).cdf(chi2(2).ppf(0.95)), abs=2e-3)
     assert share < 0.9
 

@@ -205,13 +205,13 @@ def test_gate_is_judged_without_a_batch_axis_as_with_one():
 
 @pytest.mark.parametrize("dof", [2, 3, 8])
 def test_gate_of_wrong_degrees_of_freedom_is_found(dof):
-    faulty = with_parts(gate=lambda d, p: d <= gate_threshold(p, dof))
+    faulty = with_parts(gate=lambda d, p, _: d <= gate_threshold(p, dof))
     assert gate.refuse_as_often_as_told(faulty).failed
 
 
 def test_gate_of_the_root_against_the_square_is_found():
     result = gate.refuse_as_often_as_told(
-        with_parts(gate=lambda d, p: np.sqrt(d) <= gate_threshold(p, 4))
+        with_parts(gate=lambda d, p, _: np.sqrt(d) <= gate_threshold(p, 4))
     )
     assert result.failed
     assert "no gate, or too wide a one" in result.reason

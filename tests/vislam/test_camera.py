@@ -11,7 +11,7 @@ from vislam.camera import (
     StereoRig,
     Validity,
     d_project_d_point,
-    d_triangulate_d_pixels,
+    d_triangulate_d_reading,
     in_front,
     project,
     triangulate,
@@ -116,7 +116,7 @@ def test_jacobian_of_projection_is_its_derivative(rig, p):
 @given(rig=rigs, p=points(), mismatch=st.floats(-5, 5))
 def test_jacobian_of_triangulation_is_its_derivative(rig, p, mismatch):
     pixels = project(rig, p) + np.array([0, mismatch, 0, 0])
-    J = d_triangulate_d_pixels(rig, pixels)
+    J = d_triangulate_d_reading(rig, pixels)
     for z, derivative in zip(pixels, J, strict=True):
         expected = complex_step(lambda x: by_similar_triangles(rig, x), z)
         assert_allclose(derivative, expected, rtol=1e-11, atol=1e-11 * np.abs(expected).max())
@@ -125,7 +125,7 @@ def test_jacobian_of_triangulation_is_its_derivative(rig, p, mismatch):
 @given(rig=rigs, p=points())
 def test_jacobians_of_projection_and_triangulation_are_inverse(rig, p):
     pixels = project(rig, p)
-    back = d_triangulate_d_pixels(rig, pixels)
+    back = d_triangulate_d_reading(rig, pixels)
     there = d_project_d_point(rig, triangulate(rig, pixels))
     for one, A, B in zip(back @ there, np.abs(back), np.abs(there), strict=True):
         assert_allclose(one, np.eye(3), rtol=0, atol=1e-13 * (A @ B).max())
@@ -142,7 +142,7 @@ def test_a_batch_of_features_is_a_loop(shape):
         (project, p),
         (d_project_d_point, p),
         (triangulate, good),
-        (d_triangulate_d_pixels, good),
+        (d_triangulate_d_reading, good),
         (validity, pixels),
     ):
         out = function(RIG, batch)
@@ -165,7 +165,7 @@ def test_points_behind_the_camera_are_named():
 @pytest.mark.parametrize("uR", [300.0, 301.0, np.nan])
 def test_features_without_disparity_do_not_triangulate(uR):
     pixels = np.array([[310.0, 9, 300, 9], [300.0, 9, uR, 9]])
-    for function in (triangulate, d_triangulate_d_pixels):
+    for function in (triangulate, d_triangulate_d_reading):
         with pytest.raises(BehindCamera, match=r"points \[1\] are not"):
             function(RIG, pixels)
 

@@ -248,8 +248,9 @@ def test_a_rig_without_an_image_size_is_used_wherever_its_centre_lies(cx_px):
 
 def test_a_sigma_of_the_prediction_is_in_pixels():
     noise = Noise(process_model="twist", process=np.eye(6), sigma_px=np.array([0.7, 0.9, 1.2, 0.5]))
-    W = whitening(noise)[:3]
+    whole = whitening(noise, np.empty((1, 4)))
+    W = whole[:3]
     for sigma_px in (1241.0, 1243.0):  # of all coordinates at once; the image is 1242 wide
         S = W @ (sigma_px**2 * np.ones((4, 4))) @ W.T
-        within = predictable(drive(np.ones((1, 1), bool)).task.calibration, noise, S[None])
+        within = predictable(drive(np.ones((1, 1), bool)).task.calibration, whole, S[None])
         assert within.tolist() == [sigma_px < 1242]

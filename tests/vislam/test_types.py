@@ -157,5 +157,6 @@ def test_defaults_are_not_shared():
 def test_every_field_is_described_in_the_docstring_of_its_class():
     for kind in vars(vislam.types).values():
         if isinstance(kind, type) and kind.__module__ == "vislam.types":
+            documented = "".join(each.__doc__ for each in kind.__mro__)
             for field in fields(kind):
-                assert f"{field.name}:" in kind.__doc__, f"{kind.__name__}.{field.name}"
+                assert f"{field.name}:" in documented, f"{kind.__name__}.{field.name}"

@@ -4,7 +4,7 @@ import numpy as np
 
 from vislam.filters import model
 from vislam.gaussian import symmetrised, transposed
-from vislam.types import Belief, StereoFrame, Task, Twist
+from vislam.types import Belief, Frame, Task, Twist
 
 
 class DeadReckoning:
@@ -28,7 +28,7 @@ class DeadReckoning:
         self.P = symmetrised(F @ self.P @ transposed(F) + Q)
         self.T = T_next
 
-    def update(self, frame: StereoFrame) -> None:
+    def update(self, frame: Frame) -> None:
         """Nothing: the paper's first estimator sees no landmark."""
 
     def belief(self, joint: bool = False) -> Belief:

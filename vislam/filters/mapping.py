@@ -15,7 +15,7 @@ from vislam.filters.dead_reckoning import DeadReckoning
 from vislam.filters.records import diagonal_blocks
 from vislam.filters.roster import Retired, slots_of
 from vislam.gaussian import cholesky, solve_lower, subtract_gram, transposed
-from vislam.types import Belief, Innovation, Smoothed, StereoFrame, Task, Twist
+from vislam.types import Belief, Frame, Innovation, Smoothed, Task, Twist
 
 
 class Poses(Protocol):
@@ -61,7 +61,6 @@ class Mapping:
         """Start with the known map of the prior, or an empty one."""
         self.calibration, self.noise, self.gate = task.calibration, task.noise, task.gate
         self.poses = DeadReckoning(task) if poses is None else poses
-        self._whitening = model.whitening(task.noise)
         self._retired = Retired()
         prior, batch = task.prior, task.prior.T_world_imu.shape[:-2]
         m = len(prior.ids)
@@ -78,15 +77,15 @@ class Mapping:
         """Move along the trajectory; landmarks stay where they are."""
         self.poses.predict(motion, dt)
 
-    def update(self, frame: StereoFrame) -> Innovation:
+    def update(self, frame: Frame) -> Innovation:
         """Update the known landmarks, enter new ones, let go of those seen for the last time."""
-        usable = model.valid(self.calibration, frame.pixels)
+        usable = model.valid(self.calibration, frame.readings)
         slots = slots_of(self.ids, frame.ids)
         known, new = usable & (slots >= 0), usable & (slots < 0)
-        innovation = self._correct(frame.ids[known], slots[known], frame.pixels[..., known, :])
-        self._give_birth(frame.ids[new], frame.pixels[..., new, :])
+        innovation = self._correct(frame.ids[known], slots[known], frame.readings[..., known, :])
+        self._give_birth(frame.ids[new], frame.readings[..., new, :])
         self._retire(frame.ids[frame.last])
-        skipped = ~usable & ~model.unseen(frame.pixels)
+        skipped = ~usable & ~model.unseen(frame.there)
         return replace(innovation, born=frame.ids[new], skipped=frame.ids[skipped])
 
     def belief(self, joint: bool = False) -> Belief:
@@ -103,37 +102,39 @@ class Mapping:
         """Every landmark there was, by ascending id."""
         return Smoothed(final=self._retired.joined_to(self.belief()))
 
-    def _correct(self, ids: IntArray, slots: IntArray, pixels: Array) -> Innovation:
-        """The paper's III.B.3 for each known landmark of a frame; ids (k,), pixels (..., k, 4)."""
+    def _correct(self, ids: IntArray, slots: IntArray, readings: Array) -> Innovation:
+        """The paper's III.B.3 for each known landmark; ids (k,), readings (..., k, c)."""
         calibration, T = self.calibration, self.poses.T
-        residual = model.residuals(calibration, T, self.landmarks[..., slots, :], pixels)
+        predicted = model.predicted(calibration, T, self.landmarks[..., slots, :])
+        residual = readings - predicted
         front = np.flatnonzero(model.finite(residual))
         slots = slots[front]
-        white = residual[..., front, :] @ self._whitening.T
+        W = model.whitening(self.noise, predicted[..., front, :])
+        white = model.whitened(W, residual[..., front, :])
         _, H = model.observation_jacobians(calibration, T, self.landmarks[..., slots, :])
-        H = self._whitening[:3] @ H
+        H = W[..., :3, :] @ H
         P = self.P[..., slots, :, :]
         S = H @ P @ transposed(H) + np.eye(3)
         L = cholesky(S)
         white[..., :3] = solve_lower(L, white[..., :3, None])[..., 0]
-        passed = model.predictable(calibration, self.noise, S)
+        passed = model.predictable(calibration, W, S)
         if self.gate is not None:
-            passed &= model.gate(np.square(white).sum(axis=-1), self.gate)
+            passed &= model.gate(np.square(white).sum(axis=-1), self.gate, white.shape[-1])
         white *= passed[..., None]
         Y_T = solve_lower(L, H @ P) * passed[..., None, None]
         self.landmarks[..., slots, :] += (transposed(Y_T) @ white[..., :3, None])[..., 0]
         self.P[..., slots, :, :] = subtract_gram(P, Y_T)
 
-        whitened = np.zeros(pixels.shape)
+        whitened = np.zeros(readings.shape)
         whitened[..., front, :] = white
-        accepted = np.zeros(pixels.shape[:-1], bool)
+        accepted = np.zeros(readings.shape[:-1], bool)
         accepted[..., front] = passed
         return Innovation(ids=ids, residual=residual, whitened=whitened, accepted=accepted)
 
-    def _give_birth(self, ids: IntArray, pixels: Array) -> None:
+    def _give_birth(self, ids: IntArray, readings: Array) -> None:
         """Enter new landmarks by their first sighting, the paper's III.B.2."""
         T = self.poses.T
-        landmarks, _, R = model.inverse_observation(self.calibration, self.noise, T, T, pixels)
+        landmarks, _, R = model.inverse_observation(self.calibration, self.noise, T, T, readings)
         self.ids = np.concatenate([self.ids, ids])
         self.landmarks = np.concatenate([self.landmarks, landmarks], axis=-2)
         self.P = np.concatenate([self.P, R], axis=-3)

@@ -1,19 +1,26 @@
-"""The motion and the stereo model: what the paper's estimators share, in the right chart.
+"""The motion and the sensor model: what the paper's estimators share, in the right chart.
 
 Each function is one formula; a filter variant takes another in its place
-(`vislam.filters.slam.Parts`).
+(`vislam.filters.slam.Parts`). A reading has c coordinates: four pixels of a stereo pair, or the
+point itself of a point sensor.
 """
+
+from typing import Any
 
 import numpy as np
 
-from vislam import camera
-from vislam.arrays import Array, BoolArray
+from vislam import camera, point
+from vislam.arrays import Array, BoolArray, IntArray
 from vislam.camera import Validity
 from vislam.gaussian import gate_threshold, transposed
 from vislam.lie import se3, so3
+from vislam.point import PointSensor
 from vislam.types import Calibration, Noise, Twist
 
-SIGHTING_DOF = 4
+
+def _of(calibration: Calibration) -> Any:
+    """The module of the sensor's formulas: the two name them alike."""
+    return point if isinstance(calibration.rig, PointSensor) else camera
 
 
 def moved(T: Array, motion: Twist, dt: float) -> Array:
@@ -34,24 +41,25 @@ def process_noise(noise: Noise, motion: Twist, dt: float) -> Array:
     """The covariance that one step adds to the pose, shape (..., 6, 6).
 
     `additive`: the paper's constant W. `twist`: tau^2 J_r(tau u) Sigma_u J_r^T, from
-    exp(tau (u - n)^) = exp(tau u^) exp(-(tau J_r n)^) to first order; `twist-density`: with
-    Sigma_u = Sigma_c / tau.
+    exp(tau (u - n)^) = exp(tau u^) exp(-(tau J_r n)^) to first order; `twist-relative`: with the
+    sample's own Sigma_u; `twist-density`: with Sigma_u = Sigma_c / tau.
     """
     if noise.process_model == "additive":
         return noise.process
     J = se3.right_jacobian(dt * motion.vector)
     scale = dt if noise.process_model == "twist-density" else dt * dt
-    return scale * (J @ noise.process @ transposed(J))
+    return scale * (J @ noise.twist_covariance(motion.vector) @ transposed(J))
 
 
-def valid(calibration: Calibration, pixels: Array) -> BoolArray:
-    """Which features can be used, in every run of a batch, shape (..., n, 4) to (n,)."""
-    return _in_all_runs(camera.validity(calibration.rig, pixels) == Validity.VALID)
+def valid(calibration: Calibration, readings: Array) -> BoolArray:
+    """Which readings can be used, in every run of a batch, shape (..., n, c) to (n,)."""
+    found: IntArray = _of(calibration).validity(calibration.rig, readings)
+    return _in_all_runs(found == Validity.VALID)
 
 
-def unseen(pixels: Array) -> BoolArray:
-    """Which features are -1 throughout: no sighting at all, shape (..., n, 4) to (n,)."""
-    return _in_all_runs(np.all(pixels == -1, axis=-1))
+def unseen(there: BoolArray) -> BoolArray:
+    """Which sightings are missing throughout: none at all, shape (..., n, c) to (n,)."""
+    return _in_all_runs(~np.any(there, axis=-1))
 
 
 def to_imu(T: Array, landmarks: Array) -> Array:
@@ -60,48 +68,59 @@ def to_imu(T: Array, landmarks: Array) -> Array:
 
 
 def to_cam(calibration: Calibration, s: Array) -> Array:
-    """The points q = cTi s, those of the IMU frame in the left optical frame, shape (..., m, 3)."""
+    """The points q = cTi s, those of the IMU frame in the sensor's frame, shape (..., m, 3)."""
     return to_imu(calibration.T_imu_cam, s)
 
 
-def residuals(calibration: Calibration, T: Array, landmarks: Array, pixels: Array) -> Array:
-    """Measured minus predicted pixels, z - K_s pi(cTi T^-1 m), shape (..., k, 4).
+def predicted(calibration: Calibration, T: Array, landmarks: Array) -> Array:
+    """The readings as predicted, K_s pi(cTi T^-1 m) of a stereo pair, shape (..., k, c).
 
     NaN where a landmark lies behind the camera in some run of a batch: nothing can be said of it.
     """
-    q = to_cam(calibration, to_imu(T, landmarks))
-    front = _in_all_runs(camera.in_front(q))
-    out = np.full(np.broadcast_shapes(pixels.shape, (*q.shape[:-1], 4)), np.nan)
-    out[..., front, :] = pixels[..., front, :] - camera.project(calibration.rig, q[..., front, :])
+    sensor, q = _of(calibration), to_cam(calibration, to_imu(T, landmarks))
+    front = _in_all_runs(sensor.in_front(q))
+    seen: Array = sensor.project(calibration.rig, q[..., front, :])
+    out = np.full((*q.shape[:-1], seen.shape[-1]), np.nan)
+    out[..., front, :] = seen
     return out
 
 
 def observation_jacobians(
     calibration: Calibration, T: Array, landmarks: Array
 ) -> tuple[Array, Array]:
-    """Derivatives of the pixels by the pose's error and by the landmark.
+    """Derivatives of the readings by the pose's error and by the landmark.
 
     H_map = K_s dpi/dq cTi T^-1 P^T and H_pose = -K_s dpi/dq cTi (T^-1 m)^odot, the paper's III.C.5.
 
     Returns:
-        H_pose of shape (..., m, 4, 6) and H_map of shape (..., m, 4, 3).
+        H_pose of shape (..., m, c, 6) and H_map of shape (..., m, c, 3).
     """
     s = to_imu(T, landmarks)
-    d_pixel_d_s = camera.d_project_d_point(calibration.rig, to_cam(calibration, s)) @ so3.inverse(
-        calibration.T_imu_cam[:3, :3]
-    )
-    H_pose = -d_pixel_d_s @ se3.odot(s)
-    H_map = d_pixel_d_s @ so3.inverse(T[..., None, :3, :3])
+    d_z_d_q: Array = _of(calibration).d_project_d_point(calibration.rig, to_cam(calibration, s))
+    d_z_d_s = d_z_d_q @ so3.inverse(calibration.T_imu_cam[:3, :3])
+    H_pose = -d_z_d_s @ se3.odot(s)
+    H_map = d_z_d_s @ so3.inverse(T[..., None, :3, :3])
     return H_pose, H_map
 
 
-def whitening(noise: Noise) -> Array:
-    """The 4x4 matrix that makes a residual's noise standard normal and gathers it in three rows.
+def whitening(noise: Noise, predicted: Array) -> Array:
+    """The matrices that make residuals' noise standard normal and gather it in three rows.
 
-    vL and vR have one Jacobian, so all the information is in (uL, v, uR), v the mean of vL and vR
-    by inverse variance, each over its sigma; the fourth row, (vL - vR) over its sigma, is pure
-    noise.
+    Of a stereo pair vL and vR have one Jacobian, so all the information is in (uL, v, uR), v the
+    mean of vL and vR by inverse variance, each over its sigma; the fourth row, (vL - vR) over its
+    sigma, is pure noise. A point sensor's sigma is a share of the reading as predicted: as measured
+    it would be small where the noise made the reading small, and draw the map towards the sensor.
+
+    Args:
+        noise: told noise.
+        predicted: readings, shape (..., k, c).
+
+    Returns:
+        Shape (4, 4) of a stereo pair, (..., k, 3, 3) of a point sensor.
     """
+    if not len(noise.sigma_px):
+        weights: Array = np.eye(3) / noise.sigma(predicted)[..., None, :]
+        return weights
     uL, vL, uR, vR = noise.sigma_px
     v = vL * vR / np.hypot(vL, vR)
     W = np.zeros((4, 4))
@@ -112,45 +131,53 @@ def whitening(noise: Noise) -> Array:
     return W
 
 
+def whitened(W: Array, residual: Array) -> Array:
+    """Residuals (..., k, c) times `whitening`, one matrix for all or one for each."""
+    return np.asarray(np.einsum("...ij,...j->...i", W, residual))
+
+
 def finite(residual: Array) -> BoolArray:
-    """Which residuals there are, in every run of a batch, shape (..., k, 4) to (k,)."""
+    """Which residuals there are, in every run of a batch, shape (..., k, c) to (k,)."""
     return _in_all_runs(np.all(np.isfinite(residual), axis=-1))
 
 
-def predictable(calibration: Calibration, noise: Noise, S: Array) -> BoolArray:
-    """Which sightings are predicted better than by the width of the image.
+def predictable(calibration: Calibration, W: Array, S: Array) -> BoolArray:
+    """Which sightings are predicted better than by the width of the image, or the range.
 
     A landmark of wild depth that comes near the plane of the camera has pixels of any value and a
     Jacobian without bound: the update is no longer linear in anything, and a gate lets it pass.
 
     Args:
         calibration: told geometry.
-        noise: told noise.
+        W: as of `whitening`.
         S: innovation covariance of each sighting's three whitened rows, shape (..., k, 3, 3).
 
     Returns:
         Shape (..., k).
     """
     rig = calibration.rig
-    width_px = 2 * rig.fx_px if rig.image_px is None else rig.image_px[0]
-    sigma_px = np.linalg.inv(whitening(noise))[[0, 1, 2], [0, 1, 2]]
-    variance_px = np.einsum("...ii->...i", S) * np.square(sigma_px)
-    within: BoolArray = np.all(variance_px < width_px**2, axis=-1)
+    if isinstance(rig, PointSensor):
+        most = rig.range_m[1]
+    else:
+        most = 2 * rig.fx_px if rig.image_px is None else rig.image_px[0]
+    sigma = np.linalg.inv(W)[..., [0, 1, 2], [0, 1, 2]]
+    variance = np.einsum("...ii->...i", S) * np.square(sigma)
+    within: BoolArray = np.all(variance < most**2, axis=-1)
     return within
 
 
-def gate(distance_squared: Array, probability: float) -> BoolArray:
-    """Which sightings to accept, by squared Mahalanobis distance with 4 degrees of freedom."""
-    return distance_squared <= gate_threshold(probability, SIGHTING_DOF)
+def gate(distance_squared: Array, probability: float, dof: int) -> BoolArray:
+    """Which sightings to accept, by squared Mahalanobis distance."""
+    return distance_squared <= gate_threshold(probability, dof)
 
 
-def triangulated(calibration: Calibration, pixels: Array) -> Array:
-    """The points of features in the IMU frame, shape (..., n, 4) to (..., n, 3)."""
-    return se3.apply(calibration.T_imu_cam, camera.triangulate(calibration.rig, pixels))
+def triangulated(calibration: Calibration, readings: Array) -> Array:
+    """The points of readings in the IMU frame, shape (..., n, c) to (..., n, 3)."""
+    return se3.apply(calibration.T_imu_cam, _of(calibration).triangulate(calibration.rig, readings))
 
 
 def inverse_observation(
-    calibration: Calibration, noise: Noise, T: Array, T_linear: Array, pixels: Array
+    calibration: Calibration, noise: Noise, T: Array, T_linear: Array, readings: Array
 ) -> tuple[Array, Array, Array]:
     """New landmarks m = T s from their first sighting, which is spent by that.
 
@@ -159,18 +186,18 @@ def inverse_observation(
         noise: told noise.
         T: pose, shape (..., 4, 4).
         T_linear: pose at which the Jacobian is taken, shape (..., 4, 4).
-        pixels: valid features, shape (..., b, 4).
+        readings: valid ones, shape (..., b, c).
 
     Returns:
         Positions (..., b, 3); G = R [I, -s^], s = T_linear^-1 m, their Jacobian by the pose's
         error, (..., b, 3, 6);
-        and the covariance J_z R J_z^T that the pixels' noise gives them, (..., b, 3, 3).
+        and the covariance J_z R J_z^T that the readings' noise gives them, (..., b, 3, 3).
     """
-    landmarks = se3.apply(T, triangulated(calibration, pixels))
+    landmarks = se3.apply(T, triangulated(calibration, readings))
     G = T_linear[..., None, :3, :3] @ se3.odot(to_imu(T_linear, landmarks))
     R_world_cam = T[..., :3, :3] @ calibration.T_imu_cam[:3, :3]
-    J_z = R_world_cam[..., None, :, :] @ camera.d_triangulate_d_pixels(calibration.rig, pixels)
-    J_z = J_z * noise.sigma_px
+    d_q_d_z: Array = _of(calibration).d_triangulate_d_reading(calibration.rig, readings)
+    J_z = R_world_cam[..., None, :, :] @ d_q_d_z * noise.sigma(readings)[..., None, :]
     return landmarks, G, J_z @ transposed(J_z)
 
 
@@ -178,14 +205,14 @@ CONSTANT_PRIOR_SIGMA_M = 1.0
 
 
 def constant_prior(
-    calibration: Calibration, noise: Noise, T: Array, T_linear: Array, pixels: Array
+    calibration: Calibration, noise: Noise, T: Array, T_linear: Array, readings: Array
 ) -> tuple[Array, Array, Array]:
     """The paper's own start: the triangulated point with a constant covariance of 1 m^2.
 
     Inconsistent: it claims that the landmark's error has nothing to do with the pose's, nor with
     its depth. As `inverse_observation` otherwise.
     """
-    landmarks, G, R = inverse_observation(calibration, noise, T, T_linear, pixels)
+    landmarks, G, R = inverse_observation(calibration, noise, T, T_linear, readings)
     return (
         landmarks,
         np.zeros_like(G),

@@ -31,7 +31,7 @@ from vislam.filters.records import (
 )
 from vislam.filters.roster import Retired, slots_of
 from vislam.filters.tape import Tape
-from vislam.types import Belief, Calibration, Innovation, Noise, Smoothed, StereoFrame, Task, Twist
+from vislam.types import Belief, Calibration, Frame, Innovation, Noise, Smoothed, Task, Twist
 
 
 @dataclass(slots=True)
@@ -73,8 +73,8 @@ class Parts:
         transition: F, from the linearisation pose and the predicted one.
         process_noise: what a step adds to the pose's covariance.
         valid: which features can be used.
-        observation_jacobians: of the pixels by pose and landmark.
-        whitening: of a residual.
+        observation_jacobians: of the readings by pose and landmark.
+        whitening: of residuals, by the readings as predicted.
         gate: which sightings to accept.
         correct: the update that an observation makes.
         birth: new landmarks, their Jacobian by the pose's error, their own covariance.
@@ -91,8 +91,8 @@ class Parts:
     observation_jacobians: Callable[[Calibration, Array, Array], tuple[Array, Array]] = (
         model.observation_jacobians
     )
-    whitening: Callable[[Noise], Array] = model.whitening
-    gate: Callable[[Array, float], BoolArray] = model.gate
+    whitening: Callable[[Noise, Array], Array] = model.whitening
+    gate: Callable[[Array, float, int], BoolArray] = model.gate
     correct: Callable[[Observation], Correct] = Observation.correction
     birth: Callable[[Calibration, Noise, Array, Array, Array], tuple[Array, Array, Array]] = (
         model.inverse_observation
@@ -126,7 +126,6 @@ class EkfSlam:
         """
         self.calibration, self.noise, self.gate = task.calibration, task.noise, task.gate
         self.parts = parts
-        self._whitening = parts.whitening(task.noise)
         self.records: list[Record] | None = None
         self._past = Tape(task.memory_bytes) if task.memory_bytes else None
         self._retire_after, self._smooth = task.retire_after, task.smooth
@@ -156,18 +155,18 @@ class EkfSlam:
         self._apply(Linear(F=parts.transition(T_linear, T_next), Q=Q))
         x.T = x.T_first = T_next
 
-    def update(self, frame: StereoFrame) -> Innovation:
+    def update(self, frame: Frame) -> Innovation:
         """Update by the known landmarks, enter new ones, let go of those seen for the last time."""
-        usable = self.parts.valid(self.calibration, frame.pixels)
+        usable = self.parts.valid(self.calibration, frame.readings)
         self._admit(frame.ids[usable])
         slots = slots_of(self.ids, frame.ids)
         known, new = usable & (slots >= 0), usable & (slots < 0)
-        innovation = self._correct(frame.ids[known], slots[known], frame.pixels[..., known, :])
+        innovation = self._correct(frame.ids[known], slots[known], frame.readings[..., known, :])
         self._unseen += 1
         self._unseen[slots[known]] = 0
-        self._give_birth(frame.ids[new], frame.pixels[..., new, :])
+        self._give_birth(frame.ids[new], frame.readings[..., new, :])
         self._retire(frame.ids[frame.last])
-        skipped = ~usable & ~model.unseen(frame.pixels)
+        skipped = ~usable & ~model.unseen(frame.there)
         return replace(innovation, born=frame.ids[new], skipped=frame.ids[skipped])
 
     def belief(self, joint: bool = False) -> Belief:
@@ -217,24 +216,27 @@ class EkfSlam:
         if self._past is not None:
             self._past.append(past(record))
 
-    def _correct(self, ids: IntArray, slots: IntArray, pixels: Array) -> Innovation:
-        """The paper's III.C.5 over the frame's known landmarks; ids (k,), pixels (..., k, 4)."""
+    def _correct(self, ids: IntArray, slots: IntArray, readings: Array) -> Innovation:
+        """The paper's III.C.5 over the known landmarks; ids (k,), readings (..., k, c)."""
         x, parts, calibration = self.x, self.parts, self.calibration
         T_linear, landmarks_linear = parts.linearise(x)
-        residual = model.residuals(calibration, x.T, x.landmarks[..., slots, :], pixels)
+        predicted = model.predicted(calibration, x.T, x.landmarks[..., slots, :])
+        residual = readings - predicted
         front = np.flatnonzero(model.finite(residual))
         slots = slots[front]
-        white = residual[..., front, :] @ self._whitening.T
+        W = parts.whitening(self.noise, predicted[..., front, :])
+        white = model.whitened(W, residual[..., front, :])
         H_pose, H_map = parts.observation_jacobians(
             calibration, T_linear, landmarks_linear[..., slots, :]
         )
-        rows = self._whitening[:3]
+        rows, dof = W[..., :3, :], white.shape[-1]
         observation = Observation.of(
             self.P, slots=slots, H_pose=rows @ H_pose, H_map=rows @ H_map, r=white[..., :3]
         )
-        passed = model.predictable(calibration, self.noise, observation.S_each)
+        passed = model.predictable(calibration, W, observation.S_each)
         if self.gate is not None:
-            passed &= parts.gate(observation.distances() + white[..., 3] ** 2, self.gate)
+            noise_only = np.square(white[..., 3:]).sum(axis=-1)
+            passed &= parts.gate(observation.distances() + noise_only, self.gate, dof)
         correction = parts.correct(observation.only(passed))
         self._apply(correction)
         T, landmarks = x.T, x.landmarks
@@ -243,19 +245,18 @@ class EkfSlam:
             self._apply(parts.transport(T, landmarks, x.T, x.landmarks))
 
         kept = front[passed] if passed.ndim == 1 else front
-        whitened = np.zeros(pixels.shape)
+        whitened = np.zeros(readings.shape)
         whitened[..., kept, :3] = correction.whitened.reshape(*passed.shape[:-1], -1, 3)
-        whitened[..., front, 3] = white[..., 3] * passed
-        accepted = np.zeros(pixels.shape[:-1], bool)
+        whitened[..., front, 3:] = white[..., 3:] * passed[..., None]
+        accepted = np.zeros(readings.shape[:-1], bool)
         accepted[..., front] = passed
         return Innovation(ids=ids, residual=residual, whitened=whitened, accepted=accepted)
 
-    def _give_birth(self, ids: IntArray, pixels: Array) -> None:
+    def _give_birth(self, ids: IntArray, readings: Array) -> None:
         """Enter new landmarks by their first sighting, at the updated pose."""
         T_linear, _ = self.parts.linearise(self.x)
-        self._enter(
-            ids, *self.parts.birth(self.calibration, self.noise, self.x.T, T_linear, pixels)
-        )
+        born = self.parts.birth(self.calibration, self.noise, self.x.T, T_linear, readings)
+        self._enter(ids, *born)
 
     def _admit(self, ids: IntArray) -> None:
         """Let landmarks of the known map into the state that are sighted for the first time."""
