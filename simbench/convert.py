@@ -267,6 +267,11 @@ def _finish(source: Path, target: Path) -> Converted:
 
     found, lost = summary(source), []
     if found.metadata.get("finished") == "false":
+        if not found.counts.get("/twist"):
+            raise InputError(
+                f"{source}: the run was cut short before its first second was written, so there "
+                "is nothing to finish; run it again."
+            )
         lost.append(f"what came after the first {found.duration_s:g} s: the run was cut short")
     # Not at once to the target: what is written there is first called as a killed run's file is.
     whole = target.with_name(f"{target.name}.whole")

@@ -14,7 +14,7 @@ odometry development kit, and state_groundtruth_estimate0/data.csv of the EuRoC 
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from decimal import Decimal
 from enum import StrEnum
 from itertools import pairwise
@@ -49,10 +49,13 @@ class Poses:
     Attributes:
         times: seconds as the file's own digits have them, increasing; None where it has none.
         Ts_world_imu: poses, shape (n, 4, 4).
+        quaternions: their rotations (x, y, z, w) as the file has them, shape (n, 4); None where it
+            has matrices.
     """
 
     times: tuple[Decimal, ...] | None
     Ts_world_imu: Array
+    quaternions: Array | None = None
 
     @property
     def times_s(self) -> Array:
@@ -68,7 +71,7 @@ class Poses:
     def at_rate(self, rate_hz: float) -> "Poses":
         """With times at a rate, from 0 on."""
         times = tuple(Decimal(repr(i / rate_hz)) for i in range(len(self.Ts_world_imu)))
-        return Poses(times=times, Ts_world_imu=self.Ts_world_imu)
+        return replace(self, times=times)
 
 
 def format_of(text: str) -> Format:
@@ -105,7 +108,8 @@ def parse_poses(text: str, where: str = "text") -> Poses:
                 f"after {float(before)} s."
             )
     quaternions = rows[:, [5, 6, 7, 4]] if kind is Format.EUROC else rows[:, 4:]
-    return Poses(times=times, Ts_world_imu=_from_quaternions(rows[:, 1:4], quaternions, where))
+    Ts_world_imu = _from_quaternions(rows[:, 1:4], quaternions, where)
+    return Poses(times=times, Ts_world_imu=Ts_world_imu, quaternions=quaternions)
 
 
 def read_poses(path: Path) -> Poses:
@@ -130,7 +134,9 @@ def format_poses(poses: Poses, kind: Format) -> str:
         return format_rows(Ts[:, :3].reshape(-1, 12))
     if poses.times is None:
         raise DatasetError(f"Expected times for a file of {kind}, got poses without.")
-    p, q = Ts[:, :3, 3], Rotation.from_matrix(Ts[:, :3, :3]).as_quat(canonical=True)
+    p, q = Ts[:, :3, 3], poses.quaternions
+    if q is None:
+        q = Rotation.from_matrix(Ts[:, :3, :3]).as_quat(canonical=True)
     if kind is Format.TUM:
         stamps = [_digits(t) for t in poses.times]
         rows, comma, head = np.hstack([p, q]), " ", ""

@@ -57,7 +57,7 @@ class Pickled:
     def sparse(self, key: str) -> Sparse:
         """What is not -1 in an array."""
         dense = self._numbers(key)
-        count = np.count_nonzero(dense != -1)
+        count = int(np.count_nonzero(dense != -1))
         what = f"{count} coordinates that are not -1, which says that nothing is seen,"
         refuse_above_limit(f"{self.path}: {key}", what, count * BYTES_PER_COORDINATE)
         places = np.nonzero(dense != -1)

@@ -5,7 +5,7 @@ from typing import Protocol, get_args
 
 import numpy as np
 
-from simbench.dataset import Sightings
+from simbench.dataset import Sightings, nanoseconds, seconds
 from simbench.errors import DatasetError
 from simbench.limits import refuse_above_limit
 from simbench.npz.archive import Sparse
@@ -78,7 +78,7 @@ def times_of(source: Source, key: str, row: Array) -> Array:
     """Whole nanoseconds, increasing."""
     if np.abs(row).max() > MAX_TIME_S:
         raise source.error(key, f"expected seconds, got {np.abs(row).max():g}")
-    ns = np.rint(row[0] * 1e9)
+    ns = nanoseconds(row[0])
     if (standing := np.flatnonzero(np.diff(ns) <= 0)).size:
         i = int(standing[0]) + 1
         raise source.error(
@@ -86,7 +86,7 @@ def times_of(source: Source, key: str, row: Array) -> Array:
             f"expected times that increase, but at index {i} stands {row[0, i]!r} s after "
             f"{row[0, i - 1]!r} s; remove or mend that sample",
         )
-    return np.asarray(ns / 1e9)
+    return seconds(ns)
 
 
 def sightings_of(dense: Sparse) -> Sightings:

@@ -1,5 +1,6 @@
 """The kinds of trajectories that a scene can name, and their keys."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias
 
@@ -195,7 +196,7 @@ class TrajectoryFile(Named, Motion):
         if poses.times is None:
             return format_poses(poses, Format.KITTI)
         elapsed = tuple(t - poses.times[0] for t in poses.times)
-        return format_poses(Poses(times=elapsed, Ts_world_imu=poses.Ts_world_imu), Format.TUM)
+        return format_poses(replace(poses, times=elapsed), Format.TUM)
 
     @field_validator("text")
     @classmethod

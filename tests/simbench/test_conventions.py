@@ -7,7 +7,7 @@ import pytest
 from scipy.linalg import expm
 
 from simbench.conventions import Motion
-from simbench.npz import read_convention, read_npz, write_npz
+from simbench.npz import Dialect, read_convention, read_npz, write_npz
 from simbench.sensors import simulate
 from tests.simbench.scenes import PLAIN, scene
 
@@ -99,6 +99,52 @@ def test_a_motion_without_turns_leaves_the_frame_as_given_and_says_so(tmp_path, 
     assert "not clearly" in convention.note
     assert "imu_T_cam/frd" in convention.note
     assert "--imu-frame flu|frd" in convention.note
+    assert convention.note.startswith("Warning: ")
+    assert "how the camera is turned" in convention.note
+
+
+def test_a_drive_that_hardly_turns_cannot_tell_where_the_camera_stands(tmp_path):
+    """In 2019's dialect the two readings with the right rotation differ by the lever arm alone."""
+    a_scene = scene(
+        trajectory={"kind": "straight", "speed_mps": 2.0, "roll_deg": 3.0, "pitch_deg": 3.0},
+        landmarks={"kind": "box", "count": 300, "size_m": [160.0, 60.0, 10.0]},
+        rig={"depth_m": [30.0, 80.0]},
+        imu={"velocity": {"sigma": 0.01}, "angular_velocity": {"sigma": 1e-4}},
+    )
+    convention = read_convention(written(tmp_path / "d.npz", a_scene, "cam_T_imu", "mixed/flu"))
+    assert not convention.clear
+    assert "where the camera stands" in convention.note
+    assert convention.chosen.name in ("cam_T_imu/flu", "mixed/flu")
+    assert "turn by up to 0." in convention.note
+
+
+def test_by_how_much_the_chosen_reading_wins_is_said(tmp_path):
+    convention = read_convention(written(tmp_path / "d.npz", scene(), "imu_T_cam", "imu_T_cam/frd"))
+    chosen = convention.chosen
+    second = min((r for r in convention.readings if r is not chosen), key=lambda r: r.error_px)
+    said = f"{second.error_px / chosen.error_px:.1f} times nearer than {second.name}"
+    assert said in convention.note
+    better = np.count_nonzero(chosen.frame_errors_px < second.frame_errors_px)
+    assert f"nearer in {better} of 50 frames" in convention.note
+
+
+@pytest.mark.parametrize("trajectory", [STRAIGHT, STILL], ids=lambda t: t["kind"])
+@pytest.mark.parametrize("stored", ["2025", "2025-as-distributed"])
+def test_of_the_four_readings_of_2025_those_that_no_turn_tells_apart_are_named(
+    tmp_path, trajectory, stored
+):
+    data = simulate(scene(trajectory=trajectory, landmarks={"kind": "box", "count": 80}))
+    write_npz(tmp_path / "d.npy", data, Dialect.named(stored))
+    convention = read_convention(tmp_path / "d.npy")
+    names = [reading.name for reading in convention.readings]
+    assert names == [
+        *("cam_T_imu/flu", "cam_T_imu/flu/regular"),
+        *("imu_T_cam/flu", "imu_T_cam/flu/regular"),
+    ]
+    if trajectory is STILL:
+        assert not convention.clear
+        assert convention.chosen.name == "cam_T_imu/flu"
+    assert convention.clear or "--camera-axes optical|regular" in convention.note
 
 
 def test_too_few_frames_to_be_sure_leave_the_frame_as_given(tmp_path):

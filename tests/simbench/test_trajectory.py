@@ -1,3 +1,4 @@
+from decimal import Decimal
 from functools import reduce
 from pathlib import Path
 
@@ -9,8 +10,8 @@ from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
 from simbench import trajectory
+from simbench.poses import Format, Poses, write_poses, write_tum
 from simbench.scenario import TRAJECTORIES, load, loads
-from simbench.poses import write_tum
 
 POINTS = [[0.0, 0.0, 0.0], [10.0, 1.0, 0.5], [15.0, 8.0, 1.0], [8.0, 12.0, -1.0], [2.0, 7.0, 0.0]]
 TIMES = [0.0, 5.0, 9.0, 14.0, 20.0]
@@ -265,3 +266,55 @@ def test_a_recorded_trajectory_comes_back_through_a_file(tmp_path):
     np.testing.assert_allclose(Ts, true, atol=1e-6)  # 1.7e9 s leave 2e-7 s of a time
     between = trajectory.make(scene, 0).T_world_imu(t[40:160] + 0.025)
     np.testing.assert_allclose(between, make("figure8").T_world_imu(t[40:160] + 0.025), atol=1e-4)
+
+
+def twist_by_differences(body, t, h=1e-5):
+    """The body twist from poses alone, by central differences of T(t)^-1 T(t +- h)."""
+    T = np.linalg.inv(body.T_world_imu(t))
+    change = (T @ body.T_world_imu(t + h) - T @ body.T_world_imu(t - h)) / (2 * h)
+    turning = np.stack([change[:, 2, 1], change[:, 0, 2], change[:, 1, 0]], axis=1)
+    return np.hstack([change[:, :3, 3], turning])
+
+
+@pytest.mark.parametrize("kind", Format)
+def test_a_recorded_trajectory_of_every_format_is_a_scene_with_exact_derivatives(tmp_path, kind):
+    t = np.arange(0, 10, 0.05)
+    true = make("figure8").T_world_imu(t)
+    times = tuple(1_403_636_579 + Decimal(i) / 20 for i in range(len(t)))
+    write_poses(tmp_path / "a.txt", Poses(times=times, Ts_world_imu=true), kind)
+    scene = loads("trajectory: {kind: file, path: a.txt}\nrate_hz: 20", base_dir=tmp_path)
+    assert scene.duration_s == pytest.approx(t[-1])
+    body = trajectory.make(scene, 0)
+    np.testing.assert_allclose(body.T_world_imu(t), true, atol=1e-12)
+    between = t[2:-2] + 0.021
+    numeric = twist_by_differences(body, between)
+    np.testing.assert_allclose(body.twist(between), numeric, rtol=0, atol=1e-8)
+    change = (body.twist(between + 1e-5) - body.twist(between - 1e-5)) / 2e-5
+    np.testing.assert_allclose(body.acceleration(between), change, rtol=0, atol=1e-6)
+    assert loads(scene.to_yaml()) == scene
+
+
+def test_poses_without_times_are_as_fast_as_the_scene_has_frames(tmp_path):
+    write_poses(
+        tmp_path / "a.txt",
+        Poses(times=None, Ts_world_imu=make("figure8").T_world_imu(np.arange(0, 10, 0.1))),
+        Format.KITTI,
+    )
+    for rate_hz in (5.0, 10.0):
+        text = f"trajectory: {{kind: file, path: a.txt}}\nrate_hz: {rate_hz}"
+        scene = loads(text, base_dir=tmp_path)
+        assert scene.duration_s == pytest.approx(99 / rate_hz)
+
+
+def test_poses_in_optical_axes_are_turned_to_those_of_the_body(tmp_path):
+    """As KITTI has them: z forward, y down. A turn to the right is one about y."""
+    angles = np.linspace(0, 1, 11)
+    Ts = np.tile(np.eye(4), (11, 1, 1))
+    Ts[:, 2, 3] = 2 * angles
+    Ts[:, 0, 0] = Ts[:, 2, 2] = np.cos(angles)
+    Ts[:, 0, 2], Ts[:, 2, 0] = np.sin(angles), -np.sin(angles)
+    write_poses(tmp_path / "a.kitti", Poses(times=None, Ts_world_imu=Ts), Format.KITTI)
+    scene = loads("trajectory: {kind: file, path: a.kitti, axes: optical}", base_dir=tmp_path)
+    last = trajectory.make(scene, 0).T_world_imu(np.array([1.0]))[0]
+    np.testing.assert_allclose(last[:3, 3], [2, 0, 0], atol=1e-12)
+    np.testing.assert_allclose(last[:3, 0], [np.cos(1), -np.sin(1), 0], atol=1e-12)
