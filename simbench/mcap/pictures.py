@@ -27,7 +27,7 @@ _BITS = 2
 FAR_PX = 2.0**20
 #: Of a side, where only the features say how large an image is; one that is wild says anything.
 MOST_PX = 4096
-_SQUARE = np.stack(np.mgrid[-3:4, -3:4], axis=-1).reshape(-1, 2)
+_SQUARE = np.argwhere(np.ones((7, 7))) - 3
 
 
 def fates(frame: StereoFrame, innovation: Innovation | None) -> IntArray:
