@@ -70,7 +70,19 @@ number does not apply, intervals at `confidence`:
 row is run where no line has its case, filter, seed, run and code. Delete it to run all again.
 """
 
-from simbench.campaign.engine import campaign
-from simbench.campaign.study import Case, Plan, Study, load
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from simbench.campaign.engine import campaign
+    from simbench.campaign.study import Case, Plan, Study, load
 
 __all__ = ["Case", "Plan", "Study", "campaign", "load"]
+
+
+def __getattr__(name: str) -> Any:
+    """The engine when it is first asked for: the processes that filters run in do without."""
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from simbench.campaign import engine, study
+
+    return getattr(engine if name == "campaign" else study, name)

@@ -36,7 +36,11 @@ class Journal:
         except OSError as error:
             raise OutputError(f"Cannot write {path}: {error.strerror or error}.") from error
         self._path = path
-        self._take_over()
+        try:
+            self._take_over()
+        except InputError:
+            self._file.close()
+            raise
 
     def _take_over(self) -> None:
         """Find the rows that are there, and drop a torn last line."""

@@ -188,7 +188,7 @@ def _read_metrics(path: Path) -> Iterator[Row]:
                 "status": "done",
                 "reason": "",
             }
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise DatasetError(
             f"{path}: expected metrics as simbench run writes them: {type(error).__name__} {error}."
         ) from error

@@ -24,12 +24,7 @@ Row: TypeAlias = dict[str, Any]
 
 IDENTITY = ("scenario", "overrides", "case", "filter", "seed", "run", "code", "status", "reason")
 CONSISTENCY = ("diverged", "pose_nees_end", "nis", "nis_dof")
-#: Of `simbench.metrics.metrics`, those that are equal on every machine.
-METRICS = (
-    "frames",
-    "landmarks",
-    "duration_s",
-    "path_length_m",
+_OF_POSES = (
     "ate_rmse_m",
     "ate_rmse_aligned_m",
     "rpe_trans_rmse_m",
@@ -37,6 +32,15 @@ METRICS = (
     "final_position_error_m",
     "final_rotation_error_deg",
     "pose_nees_mean",
+)
+#: Of `simbench.metrics.metrics`, those that are equal on every machine.
+METRICS = (
+    "frames",
+    "landmarks",
+    "duration_s",
+    "path_length_m",
+    *_OF_POSES,
+    *(f"smoothed_{name}" for name in _OF_POSES),
     "landmark_nees_mean",
     "landmark_rmse_m",
     "nis_mean_per_dof",
