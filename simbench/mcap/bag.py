@@ -5,8 +5,9 @@ from pathlib import Path
 from typing import Any
 
 import yaml
-from mcap.reader import Summary as Index
 from mcap.reader import make_reader
+from mcap.records import Statistics
+from mcap.summary import Summary
 
 from simbench.errors import DatasetError
 from simbench.files import replacing
@@ -27,14 +28,14 @@ def write_bag_directory(mcap_path: Path, directory: Path) -> None:
         DatasetError: the file cannot be read, is no MCAP, or has no index at its end.
         OutputError: the operating system refused.
     """
-    metadata = yaml.safe_dump(_metadata(mcap_path, _index(mcap_path)), sort_keys=False)
+    metadata = yaml.safe_dump(_metadata(mcap_path.name, *_index(mcap_path)), sort_keys=False)
     with replacing(directory / mcap_path.name) as partial:
         shutil.copyfile(mcap_path, partial)
     with replacing(directory / "metadata.yaml") as partial:
         partial.write_text(metadata, encoding="utf-8")
 
 
-def _index(path: Path) -> Index:
+def _index(path: Path) -> tuple[Summary, Statistics]:
     try:
         with path.open("rb") as stream:
             index = make_reader(stream).get_summary()
@@ -44,12 +45,10 @@ def _index(path: Path) -> Index:
         raise DatasetError(f"{path}: expected a finished MCAP file: {error}.") from error
     if index is None or index.statistics is None:
         raise DatasetError(f"{path}: expected an MCAP file with an index at its end, found none.")
-    return index
+    return index, index.statistics
 
 
-def _metadata(path: Path, index: Index) -> dict[str, Any]:
-    statistics = index.statistics
-    assert statistics is not None
+def _metadata(name: str, index: Summary, statistics: Statistics) -> dict[str, Any]:
     start_ns = statistics.message_start_time
     span = {
         "starting_time": {"nanoseconds_since_epoch": start_ns},
@@ -76,7 +75,7 @@ def _metadata(path: Path, index: Index) -> dict[str, Any]:
             "topics_with_message_count": topics,
             "compression_format": "",
             "compression_mode": "",
-            "relative_file_paths": [path.name],
-            "files": [{"path": path.name, **span}],
+            "relative_file_paths": [name],
+            "files": [{"path": name, **span}],
         }
     }

@@ -25,7 +25,8 @@ PALETTE = bytes.fromhex("141418 ebebeb 3cd25a ff463c")
 _BITS = 2
 #: Outside every image.
 FAR_PX = 2.0**20
-#: Of a side, where only the features say how large an image is; one that is wild says anything.
+#: The largest side, where only the features say how large an image is: a wild one says anything.
+#: No image has more pixels than a square of it.
 MOST_PX = 4096
 _SQUARE = np.argwhere(np.ones((7, 7))) - 3
 
@@ -38,6 +39,12 @@ def fates(frame: StereoFrame, innovation: Innovation | None) -> IntArray:
         fate[np.isin(frame.ids, used)] = Fate.USED
         fate[np.isin(frame.ids, np.concatenate([refused, innovation.skipped]))] = Fate.REFUSED
     return fate
+
+
+def drawable(dataset: Dataset) -> bool:
+    """Whether there is something to draw, on images of a known and a usual size."""
+    width, height = size_px(dataset)
+    return dataset.sightings is not None and 0 < width * height <= MOST_PX**2
 
 
 def draw(pixels: Array, fate: IntArray, size_px: tuple[int, int]) -> bytes:

@@ -94,8 +94,9 @@ class Recorder:
         self._flush_ns = self._start_ns + SECOND_NS
         self._slow_frames = spaced(self._stamps_ns, _path_spacing_ns(self._stamps_ns))
         self._size_px = pictures.size_px(dataset)
-        drawn = dataset.sightings is not None and all(self._size_px)
-        self._drawn_frames = spaced(self._stamps_ns, PICTURE_SPACING_NS) if drawn else set[int]()
+        self._drawn_frames = set[int]()
+        if pictures.drawable(dataset):
+            self._drawn_frames = spaced(self._stamps_ns, PICTURE_SPACING_NS)
         self._estimated_path: list[m.Message] = []
         self._true_path: list[m.Message] = []
         self._channels: dict[str, Any] = {}

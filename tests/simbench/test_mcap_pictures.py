@@ -129,6 +129,13 @@ def test_size_is_the_images_or_holds_the_features():
     assert size_px(replace(unknown, sightings=None)) == (0, 0)
 
 
-def test_without_features_or_a_size_there_are_no_pictures(tmp_path):
-    record_drive(tmp_path / "n.mcap", replace(drive(3), sightings=None))
-    assert not any("image" in topic for topic in messages(tmp_path / "n.mcap"))
+@pytest.mark.parametrize("image_px", [None, (1242, 376), (10**6, 10**6)])
+def test_without_features_or_a_usual_size_there_are_no_pictures(tmp_path, image_px):
+    dataset = drive(3)
+    rig = replace(dataset.calibration.rig, image_px=image_px)
+    told = replace(dataset, calibration=replace(dataset.calibration, rig=rig))
+    usual = image_px == (1242, 376)
+    record_drive(tmp_path / "n.mcap", replace(told, sightings=None) if usual else told)
+    topics = messages(tmp_path / "n.mcap")
+    assert ("/cam0/image/compressed" in topics) == (image_px is None)
+    assert topics["/cam0/camera_info"][0][1].width == (image_px or size_px(told))[0]
