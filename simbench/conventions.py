@@ -78,16 +78,13 @@ class Meaning:
         Raises:
             ValueError: there is none of this name.
         """
-        words = name.split("/")
-        every = (Extrinsics, ImuFrame, CameraAxes)
-        if len(words) > 3 or any(
-            w not in get_args(kind) for w, kind in zip(words, every, strict=False)
-        ):
+        words = dict(zip(map(_KIND_OF.get, name.split("/")), name.split("/"), strict=True))
+        if "extrinsics" not in words or None in words or len(words) <= name.count("/"):
             raise ValueError(
                 "expected imu_T_cam, cam_T_imu or mixed, then /flu or /frd, then /optical or "
                 f"/regular, got {name!r}"
             )
-        return cls(*words)  # type: ignore[arg-type]
+        return cls(**words)  # type: ignore[arg-type]
 
     def T_imu_cam(self, given: Array) -> Array:
         """Left optical frame to FLU, of a file's matrix, both shape (4, 4)."""
@@ -110,6 +107,17 @@ class Meaning:
             given[:3, 3] = T[:3, 3]
         return given
 
+
+#: What each word of a name is.
+_KIND_OF = {
+    word: kind
+    for kind, words in (
+        ("extrinsics", Extrinsics),
+        ("imu_frame", ImuFrame),
+        ("camera_axes", CameraAxes),
+    )
+    for word in get_args(words)
+}
 
 #: What may be meant by the keys of the dialects; what the key's name claims stands first.
 UNTIL_2020 = (

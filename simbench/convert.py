@@ -103,7 +103,7 @@ def convert(
     from simbench.npz import write_npz
 
     write_npz(target, dataset, wanted)
-    lost = [*_run_of(source, kind), *lost_in(dataset, wanted)]
+    lost = [*_run_of(source, kind), *_cut_off(source, kind), *lost_in(dataset, wanted)]
     return Converted(
         read=kind,
         written=f"{wanted.year}:{wanted.meaning}",
@@ -232,7 +232,7 @@ def _poses(
     return Converted(
         read=kind,
         written=wanted.value,
-        lost=(rest, *_lost_of_times(poses, wanted)),
+        lost=(rest, *_cut_off(source, kind), *_lost_of_times(poses, wanted)),
         notes=dataset.notes,
     )
 
@@ -260,19 +260,28 @@ def _run_of(source: Path, kind: Kind) -> list[str]:
     return [f"the run of {name}: its estimates, covariances and metrics"] if name else []
 
 
+def _cut_off(source: Path, kind: Kind) -> list[str]:
+    """What a recording lacks because its run was killed."""
+    if kind is not Kind.RECORDING:
+        return []
+    from simbench.mcap import summary
+
+    found = summary(source)
+    if found.metadata.get("finished") != "false":
+        return []
+    if not found.counts.get("/twist"):
+        raise InputError(
+            f"{source}: the run was cut short before its first second was written, so there is "
+            "nothing to convert; run it again."
+        )
+    return [f"what came after the first {found.duration_s:g} s: the run was cut short"]
+
+
 def _finish(source: Path, target: Path) -> Converted:
     """A whole recording of what a killed run left."""
-    from simbench.mcap import summary
     from simbench.mcap.container import finish
 
-    found, lost = summary(source), []
-    if found.metadata.get("finished") == "false":
-        if not found.counts.get("/twist"):
-            raise InputError(
-                f"{source}: the run was cut short before its first second was written, so there "
-                "is nothing to finish; run it again."
-            )
-        lost.append(f"what came after the first {found.duration_s:g} s: the run was cut short")
+    lost = _cut_off(source, Kind.RECORDING)
     # Not at once to the target: what is written there is first called as a killed run's file is.
     whole = target.with_name(f"{target.name}.whole")
     finish(source, whole)

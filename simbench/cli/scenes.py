@@ -21,12 +21,15 @@ def generate(scenario: Path, dialect: str | None, out: Path, as_json: bool, **to
 
     With --dialect 2025 the dataset is OUT/NAME.npy, a pickled dict.
     """
+    from simbench.convert import lost_in
     from simbench.info import describe
     from simbench.npz import Dialect
     from simbench.outputs import write_dataset
 
     written = Dialect.named(dialect) if dialect else None
     dataset = open_dataset(scenario, told)
+    for line in lost_in(dataset, written) if written else ():
+        click.echo(f"Not in {dataset.name}{written.suffix}: {line}.", err=True)
     paths = write_dataset(dataset, out, written)
     show(describe(dataset) | {"files": list(map(str, paths))}, as_json)
 

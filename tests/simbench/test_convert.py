@@ -212,6 +212,7 @@ def test_what_a_killed_run_left_is_finished_and_says_that_it_was_cut_short(recor
         assert info(partial)["recording"]["finished"] is False
         done = convert(partial, target)
         assert "the run was cut short" in done.lost[0]
+        assert done.lost[0] in convert(partial, tmp_path.with_name("cut.npz")).lost
         assert partial.read_bytes() == cut
         assert sorted(p.name for p in tmp_path.iterdir()) == ["run.mcap", "run.mcap.partial"]
         assert summary(target).finished
@@ -306,6 +307,12 @@ def test_the_verb_prints_what_is_lost(recorded, tmp_path, capsys):
     assert said["files"] == [str(tmp_path / "a.npz")]
     assert main(["convert", str(tmp_path / "a.npz"), str(tmp_path / "a.png")]) == 2
     assert len(capsys.readouterr().err.splitlines()) == 1
+
+
+def test_generate_says_what_is_not_in_the_file(recorded, tmp_path, capsys):
+    scene_file = str(recorded[0] / "small.yaml")
+    assert main(["generate", scene_file, "--dialect", "2021", "--out", str(tmp_path)]) == 0
+    assert "Not in small.npz: the features" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(("dialect", "name"), [("2019", "small.npz"), ("2025", "small.npy")])
