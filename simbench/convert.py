@@ -17,7 +17,7 @@ from simbench.source import NOTHING, Kind, Told, kind_of, open_source, refuse_mi
 from vislam.arrays import Array
 
 Which: TypeAlias = Literal["truth", "estimate"]
-Target: TypeAlias = Dialect | Format | Literal["mcap"]
+Target: TypeAlias = Dialect | Format | Literal["mcap", "bag"]
 
 _BY_SUFFIX: dict[str, Target] = {
     ".npz": DEFAULT,
@@ -40,8 +40,8 @@ class Converted:
 
     Attributes:
         read: what it was.
-        written: what it is now: a year of a dialect with its reading, ``mcap``, or a format of
-            trajectories.
+        written: what it is now: a year of a dialect with its reading, ``mcap``, ``bag``, or a
+            format of trajectories.
         lost: what the new file does not hold, a line each.
         notes: what the reader found or chose.
     """
@@ -65,7 +65,7 @@ def convert(
 
     Args:
         source: a dataset, a recording (finished or not) or a trajectory.
-        target: the new file; its suffix says what it is to be.
+        target: the new file; its suffix says what it is to be, none a bag directory.
         dialect: what it is to be where the suffix leaves that open: a name that `Dialect` knows,
             ``tum``, ``kitti`` or ``euroc``.
         which: of a recording's poses, for a trajectory; by default the estimate where it has one.
@@ -85,6 +85,9 @@ def convert(
             "with --dialect in any dialect."
         )
     _refuse_without_effect(kind, wanted, which, rate_hz)
+    if wanted == "bag":
+        refuse_misplaced(source, kind, told)
+        return _bag(source, target, kind)
     if kind is Kind.TRAJECTORY:
         refuse_misplaced(source, kind, told)
         return _trajectory(source, target, wanted, rate_hz)
@@ -121,10 +124,12 @@ def target_of(path: Path, dialect: str | None) -> Target:
     if dialect is None:
         if path.suffix == ".txt":
             raise InputError(f"{path}: TUM or KITTI? Say --dialect tum or --dialect kitti.")
+        if not path.suffix or path.is_dir():
+            return "bag"
         if path.suffix not in _BY_SUFFIX:
             raise InputError(
-                f"{path}: expected one of the suffixes {', '.join(_BY_SUFFIX)}, got "
-                f"{path.suffix or 'none'!r}."
+                f"{path}: expected one of the suffixes {', '.join(_BY_SUFFIX)}, or none for a bag "
+                f"directory, got {path.suffix!r}."
             )
         return _BY_SUFFIX[path.suffix]
     if dialect in list(Format):
@@ -275,6 +280,19 @@ def _cut_off(source: Path, kind: Kind) -> list[str]:
             "nothing to convert; run it again."
         )
     return [f"what came after the first {found.duration_s:g} s: the run was cut short"]
+
+
+def _bag(source: Path, target: Path, kind: Kind) -> Converted:
+    """The directory that some tools of ROS 2 insist on."""
+    from simbench.mcap import write_bag_directory
+
+    if kind is not Kind.RECORDING:
+        raise InputError(
+            f"{target}: a bag directory is made of a recording, but {source} is a {kind}; make it "
+            "an .mcap first."
+        )
+    write_bag_directory(source, target)
+    return Converted(read=kind, written="bag", lost=())
 
 
 def _finish(source: Path, target: Path) -> Converted:

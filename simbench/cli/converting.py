@@ -44,6 +44,7 @@ def convert(
                 YEAR:READING as any reading that `simbench info` lists, such as
                 2022:imu_T_cam/frd or 2025:imu_T_cam/flu/regular.
     .mcap       a recording; an unfinished one (*.mcap.partial) becomes whole
+    (none)      of a recording, a directory with metadata.yaml, for ROS tools that insist on one
     .tum .kitti .csv (EuRoC), or .txt with --dialect tum|kitti
                 a trajectory; one of KITTI's has no times, so from it say --rate-hz
 

@@ -42,7 +42,10 @@ def _index(path: Path) -> tuple[Summary, Statistics]:
     except OSError as error:
         raise DatasetError(f"{path}: cannot be read: {error.strerror or error}.") from error
     except Exception as error:  # whatever a damaged file makes its parser raise
-        raise DatasetError(f"{path}: expected a finished MCAP file: {error}.") from error
+        raise DatasetError(
+            f"{path}: expected a finished MCAP file ({error}); one that was cut short is finished by "
+            "simbench convert IN OUT.mcap."
+        ) from error
     if index is None or index.statistics is None:
         raise DatasetError(f"{path}: expected an MCAP file with an index at its end, found none.")
     return index, index.statistics

@@ -249,7 +249,7 @@ def test_a_recording_of_less_than_a_second_is_nothing_to_finish(recorded, tmp_pa
         ("data.tum", "a.mcap", {}, "kind: file"),
         ("data.npz", "a.txt", {}, r"TUM or KITTI\? Say --dialect tum"),
         ("data.npz", "a.png", {}, r"expected one of the suffixes \.npz, .* got '\.png'"),
-        ("data.npz", "a", {}, "got 'none'"),
+        ("data.npz", "a", {}, "a bag directory is made of a recording"),
         ("data.npz", "a.npz", {"dialect": "2025"}, r"ends in \.npy, got '\.npz'"),
         ("data.npz", "a.npy", {"dialect": "2022"}, r"ends in \.npz, got '\.npy'"),
         ("data.npz", "a.csv", {"dialect": "tum"}, r"ends in \.tum or \.txt, got '\.csv'"),

@@ -8,7 +8,9 @@ from mcap.reader import make_reader
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import get_types_from_msg
 
-from simbench.errors import DatasetError, OutputError
+from simbench.cli import main
+from simbench.convert import convert
+from simbench.errors import DatasetError, InputError, OutputError
 from simbench.mcap import summary, write_bag_directory
 from simbench.mcap.messages import DEFINITIONS, INTERFACES
 from tests.simbench.recordings import drive, record_drive
@@ -58,6 +60,14 @@ def test_what_is_no_finished_recording_is_one_clear_error(tmp_path, recording, k
     with pytest.raises(DatasetError, match=message):
         write_bag_directory(path, tmp_path / "bag")
     assert not (tmp_path / "bag").exists()
+
+
+def test_convert_makes_a_bag_directory_of_a_recording_alone(tmp_path, recording):
+    assert main(["convert", str(recording), f"{tmp_path / 'bag'}/"]) == 0
+    assert read(tmp_path / "bag") == read(recording)
+    (tmp_path / "t.tum").write_text("0 0 0 0 0 0 0 1\n1 0 0 0 0 0 0 1\n")
+    with pytest.raises(InputError, match=r"made of a recording, but .* is a trajectory"):
+        convert(tmp_path / "t.tum", tmp_path / "other")
 
 
 def test_file_in_place_of_the_directory_is_one_clear_error(tmp_path, recording):
