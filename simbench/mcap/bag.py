@@ -43,8 +43,8 @@ def _index(path: Path) -> tuple[Summary, Statistics]:
         raise DatasetError(f"{path}: cannot be read: {error.strerror or error}.") from error
     except Exception as error:  # whatever a damaged file makes its parser raise
         raise DatasetError(
-            f"{path}: expected a finished MCAP file ({error}); one that was cut short is finished by "
-            "simbench convert IN OUT.mcap."
+            f"{path}: expected a finished MCAP file ({error}); one that was cut short is finished "
+            "by simbench convert IN OUT.mcap."
         ) from error
     if index is None or index.statistics is None:
         raise DatasetError(f"{path}: expected an MCAP file with an index at its end, found none.")
