@@ -203,7 +203,7 @@ class Convention:
 
     Attributes:
         chosen: the reading.
-        readings: all that were compared, the one that the key's name claims first.
+        readings: all that were compared, the one that the file claims first.
         clear: the data tell the chosen reading from every other.
         note: what was chosen and how clearly, a sentence for the user; where it is not clear, one
             that starts with "Warning" and says what the data cannot tell.
@@ -224,13 +224,13 @@ def resolve(
 ) -> Convention:
     """Find the reading of a file's extrinsics that its own features support.
 
-    The reading with the smallest error is chosen where it beats the one that the key's name claims;
+    The reading with the smallest error is chosen where it beats the one that the file claims;
     otherwise that one stays, since a reading is never guessed.
 
     Args:
         given: the file's matrix, a rigid motion, shape (4, 4).
         key: the name under which it stood.
-        meanings: what it may be, what the key's name claims first.
+        meanings: what it may be, what the file claims first.
         motion: what the sensors say of the drive.
         overruled: what the user says.
     """

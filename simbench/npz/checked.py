@@ -11,7 +11,7 @@ from simbench.dataset import Sightings
 from simbench.errors import DatasetError
 from simbench.npz.archive import opened
 from simbench.npz.layout import FEATURES, FORMAT, FORMAT_2025, FORMER_NAMES, GROUPS
-from simbench.npz.pickled import Pickled, until_2024
+from simbench.npz.pickled import Pickled, right_camera, stands_right, until_2024
 from simbench.npz.values import Sizes, Source, check_values, rigid, sightings_of, times_of
 from vislam.arrays import Array
 from vislam.types import ProcessModel
@@ -31,7 +31,8 @@ class Contents:
         dialect: `simbench` (2022's with our keys beside it), `2025`, `2022`, `2021` (without
             features) or `2019`.
         extrinsics_key: what the file calls its extrinsics.
-        meanings: what they may mean, what the key's name claims first.
+        meanings: what they may mean, what the file itself claims first, by the name of the key and
+            by where the right camera stands.
         extrinsics: a rigid motion, shape (4, 4).
         right_extrinsics: those of the right camera, where the file has them.
     notes: what was mended, for the user.
@@ -93,6 +94,11 @@ def check(path: Path) -> Contents:
             right = rigid(source, "extR_T_imu", arrays["extR_T_imu"], notes)
             arrays, sightings = until_2024(source, arrays, sightings, notes)
         extrinsics_key, meanings = _MEANINGS.get(dialect, ("imu_T_cam", FROM_2021))
+        extrinsics = rigid(source, extrinsics_key, arrays["imu_T_cam"], notes)
+        if right is not None:  # first those that the file does not contradict
+            meanings = tuple(
+                sorted(meanings, key=lambda m: not stands_right(right_camera(m, extrinsics, right)))
+            )
         imu_times = arrays.get("imu_time_stamps")
         return Contents(
             arrays=arrays,
@@ -107,7 +113,7 @@ def check(path: Path) -> Contents:
             dialect=dialect,
             extrinsics_key=extrinsics_key,
             meanings=meanings,
-            extrinsics=rigid(source, extrinsics_key, arrays["imu_T_cam"], notes),
+            extrinsics=extrinsics,
             right_extrinsics=right,
             notes=tuple(notes),
         )

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from simbench.conventions import Meaning
 from simbench.dataset import Sightings
 from simbench.errors import DatasetError
 from simbench.limits import refuse_above_limit
@@ -116,6 +117,23 @@ def until_2024(
         "imu_T_cam": arrays["extL_T_imu"],
     }
     return arrays | converted, sightings
+
+
+def right_camera(meaning: Meaning, left: Array, right: Array) -> Array:
+    """Where the right camera stands in the left optical frame, metres, shape (3,).
+
+    Args:
+        meaning: how the extrinsics are read.
+        left: those of the left camera as the file has them, shape (4, 4).
+        right: those of the right one.
+    """
+    position: Array = (se3.inverse(meaning.T_imu_cam(left)) @ meaning.T_imu_cam(right))[:3, 3]
+    return position
+
+
+def stands_right(position: Array) -> bool:
+    """Whether a camera stands to the right of the left one, along its x axis."""
+    return bool(position[0] > 0.99 * np.linalg.norm(position))
 
 
 def _with_left_K(pixels: Array, K_l: Array, K_r: Array) -> Array:
