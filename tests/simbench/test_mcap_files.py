@@ -298,7 +298,8 @@ def test_recording_cut_off_anywhere_gives_its_first_frames_or_a_clear_error(tmp_
         path.write_bytes(whole[:size])
         if isinstance(again := read_or_error(path), str):
             continue
-        assert "unfinished" in again.notes[-1]
+        # behind the mark of a whole recording stands the index alone
+        assert "unfinished" in again.notes[-1] or bits(again) == bits(drive())
         assert first_frames(again, len(again)) == first_frames(drive(), len(again))
         lengths.add(len(again))
     assert len(lengths) >= 4

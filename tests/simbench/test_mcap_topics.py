@@ -304,7 +304,7 @@ def test_estimated_path_comes_at_most_once_a_second_and_is_whole_at_the_end(made
 
 def test_a_long_run_has_about_a_hundred_paths(tmp_path):
     dataset = drive(300)
-    slow = replace(dataset, times_s=np.arange(300.0), imu=None)
+    slow = replace(dataset, times_s=np.arange(300.0), imu=None, sightings=None)
     record_drive(tmp_path / "long.mcap", slow)
     received = messages(tmp_path / "long.mcap")["/estimate/path"]
     assert len(received) == 100  # every third frame
