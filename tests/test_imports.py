@@ -34,6 +34,8 @@ LAYERS = [
     "simbench.dataset",
     "simbench.sensors",
     "simbench.conventions",
+    "simbench.repeats",
+    "simbench.noise",
     "simbench.npz",
     "simbench.bugs",
     "simbench.filters",

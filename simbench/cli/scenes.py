@@ -23,12 +23,12 @@ def generate(scenario: Path, dialect: str | None, out: Path, as_json: bool, **to
     """
     from simbench.convert import lost_in
     from simbench.info import describe
-    from simbench.npz import Dialect
+    from simbench.npz.dialects import DEFAULT, Dialect
     from simbench.outputs import write_dataset
 
-    written = Dialect.named(dialect) if dialect else None
+    written = Dialect.named(dialect) if dialect else DEFAULT
     dataset = open_dataset(scenario, told)
-    for line in lost_in(dataset, written) if written else ():
+    for line in lost_in(dataset, written):
         click.echo(f"Not in {dataset.name}{written.suffix}: {line}.", err=True)
     paths = write_dataset(dataset, out, written)
     show(describe(dataset) | {"files": list(map(str, paths))}, as_json)
@@ -56,6 +56,7 @@ def run(
     """
     from simbench.filters import resolve
     from simbench.outputs import filter_of, options_of, record_run, write_comparison
+    from simbench.repeats import without_repeats
     from simbench.run import RunOptions
     from simbench.run import run as run_filter
 
@@ -66,7 +67,10 @@ def run(
         memory_bytes=memory or recorded.memory_bytes,
         retire_after=retire_after or recorded.retire_after,
     )
-    dataset = open_dataset(source, told)
+    opened = open_dataset(source, told)
+    dataset = without_repeats(opened)
+    for note in dataset.notes[len(opened.notes) :]:
+        click.echo(note, err=True)
     records: list[RunRecord] = []
     results = []
     for name, factory in factories.items():

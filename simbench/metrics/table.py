@@ -5,6 +5,7 @@ from typing import TypeAlias
 import numpy as np
 
 from simbench.metrics.consistency import landmark_errors, nis, pose_nees
+from simbench.metrics.fit import noise_fit
 from simbench.metrics.trajectory import ate, path_length, rmse, rpe
 from simbench.run import RunRecord
 from vislam.arrays import Array
@@ -19,8 +20,9 @@ def metrics(record: RunRecord) -> Metrics:
     covariance) or is not finite. Names and units are the command line's. `pose_nees_mean` is over
     frames and `landmark_nees_mean` over the landmarks at the end, both without what is known
     exactly (a covariance of zero). `skipped_features` counts the invalid sightings that the filter
-    met. Where the truth is unknown, `path_length_m` is that of the estimate. `smoothed_` stands
-    before what is of the past poses given all data.
+    met, `rejected_share` is that of the rest which were not accepted, and `noise_fit` says in words
+    whether both agree with the noise told. Where the truth is unknown, `path_length_m` is that of
+    the estimate. `smoothed_` stands before what is of the past poses given all data.
     """
     dataset, true = record.dataset, record.dataset.truth
     duration_s = float(dataset.times_s[-1] - dataset.times_s[0])
@@ -84,13 +86,19 @@ def _innovation_metrics(record: RunRecord) -> Metrics:
     innovations = [step.innovation for step in record.steps if step.innovation is not None]
     if not innovations:
         names = ("nis_mean_per_dof", "accepted", "rejected", "skipped_features")
-        return dict.fromkeys(names)
+        return dict.fromkeys((*names, "rejected_share", "noise_fit"))
     value, dof = nis(record)
+    nis_per_dof = float(value.sum() / dof.sum()) if dof.any() else None
+    accepted = sum(int(np.count_nonzero(i.accepted)) for i in innovations)
+    rejected = sum(int(i.rejected) for i in innovations)
+    share = rejected / (accepted + rejected) if accepted + rejected else None
     return {
-        "nis_mean_per_dof": float(value.sum() / dof.sum()) if dof.any() else None,
-        "accepted": sum(int(np.count_nonzero(i.accepted)) for i in innovations),
-        "rejected": sum(int(i.rejected) for i in innovations),
+        "nis_mean_per_dof": nis_per_dof,
+        "accepted": accepted,
+        "rejected": rejected,
         "skipped_features": sum(len(i.skipped) for i in innovations),
+        "rejected_share": share,
+        "noise_fit": noise_fit(nis_per_dof, share, record.dataset.gate),
     }
 
 

@@ -1,5 +1,6 @@
 """Files of the format into datasets, whatever their dialect."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,15 +16,14 @@ from simbench.conventions import (
     resolve,
 )
 from simbench.dataset import Dataset, Origin, RawImu, Truth
+from simbench.noise import SIGMA_ANGULAR, SIGMA_PX, SIGMA_VELOCITY
 from simbench.npz.checked import Contents, check
+from simbench.npz.estimated import GATE, with_estimated_noise
 from simbench.npz.layout import process_scale
+from simbench.npz.pickled import right_camera, stands_right
 from vislam.arrays import Array
 from vislam.camera import StereoRig
-from vislam.lie import se3
-from vislam.types import Belief, Calibration, Noise, ProcessModel
-
-#: What a filter is told where the file says nothing of noise.
-SIGMA_PX, SIGMA_VELOCITY, SIGMA_ANGULAR, GATE = 2.0, 0.5, 0.05, 0.999
+from vislam.types import Belief, Calibration, Noise
 
 
 def read_npz(
@@ -57,15 +57,12 @@ def read_npz(
         contents,
         Overruled(extrinsics=extrinsics, imu_frame=imu_frame, camera_axes=camera_axes),
     )
-    noise = _noise(contents, noise_pixel_px, noise_velocity, noise_angular)
     notes = [*contents.notes]
     if contents.sightings is None:
         notes.append("There are no features: only dead reckoning has anything to work on.")
     notes.append(convention.note)
     notes += _right_camera_note(contents, convention)
-    if not contents.told:
-        notes.append(_noise_note(noise))
-    return Dataset(
+    dataset = Dataset(
         name=path.stem,
         times_s=contents.times_s,
         linear_velocity=_columns(arrays["linear_velocity"]),
@@ -73,13 +70,19 @@ def read_npz(
         landmark_count=contents.landmark_count,
         sightings=contents.sightings,
         calibration=Calibration(rig=rig, T_imu_cam=convention.chosen.T_imu_cam),
-        noise=noise,
+        noise=_noise_in_file(contents),
         prior=_prior(contents),
         gate=_gate(contents),
         imu=_imu(contents),
         truth=_truth(contents),
         origin=_origin(contents),
         notes=tuple(notes),
+    )
+    if not contents.told:
+        dataset = with_estimated_noise(dataset)
+    return replace(
+        dataset,
+        noise=_overruled(dataset, noise_pixel_px, noise_velocity, noise_angular),
     )
 
 
@@ -113,9 +116,9 @@ def _right_camera_note(contents: Contents, convention: Convention) -> list[str]:
     """A warning where the chosen reading puts the right camera elsewhere than to the right."""
     if contents.right_extrinsics is None:
         return []
-    T_imu_right = convention.chosen.meaning.T_imu_cam(contents.right_extrinsics)
-    right = (se3.inverse(convention.chosen.T_imu_cam) @ T_imu_right)[:3, 3]
-    if right[0] > 0.99 * np.linalg.norm(right):
+    meaning = convention.chosen.meaning
+    right = right_camera(meaning, contents.extrinsics, contents.right_extrinsics)
+    if stands_right(right):
         return []
     return [
         f"Warning: read as {convention.chosen.name}, the right camera stands at "
@@ -136,34 +139,30 @@ def _rig(contents: Contents, baseline_m: Array) -> StereoRig:
     )
 
 
-def _noise(
-    contents: Contents, pixel_px: float | None, velocity: float | None, angular: float | None
+def _noise_in_file(contents: Contents) -> Noise:
+    """What the file says of noise, or wide defaults."""
+    if not contents.told:
+        process = np.diag(np.repeat(np.square([SIGMA_VELOCITY, SIGMA_ANGULAR]), 3))
+        return Noise(process_model="twist", process=process, sigma_px=np.full(4, SIGMA_PX))
+    return Noise(
+        process_model=contents.process_model,
+        process=contents.arrays["noise_process"],
+        sigma_px=contents.arrays["noise_pixel"],
+    )
+
+
+def _overruled(
+    dataset: Dataset, pixel_px: float | None, velocity: float | None, angular: float | None
 ) -> Noise:
-    """What the file says of noise, or the defaults, and over them what the caller says."""
-    sigma_px = np.full(4, SIGMA_PX)
-    process = np.diag(np.repeat(np.square([SIGMA_VELOCITY, SIGMA_ANGULAR]), 3))
-    model: ProcessModel = "twist"
-    if contents.told:
-        sigma_px, process = contents.arrays["noise_pixel"], contents.arrays["noise_process"]
-        model = contents.process_model
-    if pixel_px is not None:
-        sigma_px = np.full(4, float(pixel_px))
-    scale = process_scale(model, contents.times_s)
+    """The noise that a dataset is told, and over it what the caller says."""
+    process = dataset.noise.process.copy()
+    scale = process_scale(dataset.noise.process_model, dataset.times_s)
     for sigma, part in ((velocity, slice(0, 3)), (angular, slice(3, 6))):
         if sigma is not None:
             process[part], process[:, part] = 0.0, 0.0
             process[part, part] = np.diag(np.full(3, (sigma * scale) ** 2))
-    return Noise(process_model=model, process=process, sigma_px=sigma_px)
-
-
-def _noise_note(noise: Noise) -> str:
-    velocity, angular = np.sqrt(np.diag(noise.process))[[0, 3]]
-    return (
-        f"The file says nothing of noise: filters are told {noise.sigma_px[0]:g} px, "
-        f"{velocity:g} m/s and {angular:g} rad/s, a start at identity with no uncertainty, "
-        f"and a gate of {GATE:g}; --noise-pixel-px, --noise-velocity, --noise-angular and --gate "
-        "change it."
-    )
+    sigma_px = dataset.noise.sigma_px if pixel_px is None else np.full(4, float(pixel_px))
+    return replace(dataset.noise, process=process, sigma_px=sigma_px)
 
 
 def _prior(contents: Contents) -> Belief:

@@ -65,6 +65,8 @@ METRICS = [
     "accepted",
     "rejected",
     "skipped_features",
+    "rejected_share",
+    "noise_fit",
 ]
 
 pytestmark = pytest.mark.usefixtures("here")

@@ -52,6 +52,8 @@ NAMES = [
     "accepted",
     "rejected",
     "skipped_features",
+    "rejected_share",
+    "noise_fit",
 ]
 
 
@@ -464,6 +466,7 @@ def test_what_a_run_cannot_know_is_null():
     assert always == {
         *("source", "filter", "frames", "landmarks", "duration_s", "wall_s", "realtime_factor"),
         *("path_length_m", "nis_mean_per_dof", "accepted", "rejected", "skipped_features"),
+        *("rejected_share", "noise_fit"),
     }
 
     def null(record):
@@ -476,6 +479,8 @@ def test_what_a_run_cannot_know_is_null():
         "accepted",
         "rejected",
         "skipped_features",
+        "rejected_share",
+        "noise_fit",
     }
 
 
