@@ -4,27 +4,23 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from simbench.dataset import Dataset
 from simbench.errors import InputError
 from simbench.files import file_safe, replacing
 from simbench.metrics import metrics
+from simbench.npz.dialects import DEFAULT, Dialect
 from simbench.run import RunOptions, RunRecord, Step, run
 from vislam.filters import Factory
 from vislam.point import PointSensor
 
-if TYPE_CHECKING:
-    from simbench.npz import Dialect
 
-
-def write_dataset(dataset: Dataset, out: Path, dialect: "Dialect | None" = None) -> list[Path]:
+def write_dataset(dataset: Dataset, out: Path, dialect: Dialect = DEFAULT) -> list[Path]:
     """Write NAME.npz (or .npy, as its dialect has it) and NAME.mcap, and return their paths."""
     from simbench.mcap import write_dataset_mcap
     from simbench.npz import write_npz
-    from simbench.npz.dialects import DEFAULT
 
-    dialect = dialect or DEFAULT
     npz, mcap = (out / f"{dataset.name}{suffix}" for suffix in (dialect.suffix, ".mcap"))
     if isinstance(dataset.calibration.rig, PointSensor):  # which no dialect can hold
         write_dataset_mcap(mcap, dataset)

@@ -15,7 +15,7 @@ odometry development kit, and state_groundtruth_estimate0/data.csv of the EuRoC 
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from decimal import Decimal
+from decimal import Context, Decimal, InvalidOperation
 from enum import StrEnum
 from itertools import pairwise
 from pathlib import Path
@@ -28,6 +28,10 @@ from vislam.arrays import Array
 from vislam.lie import se3
 
 NANOSECONDS = Decimal(10**9)
+#: 2^63 ns in seconds: the year 2262.
+MAX_TIME_S = 9_200_000_000
+#: Digits of a time that are kept: those of any float64 above 1e-13 s, and of whole nanoseconds.
+EXACT, FINEST = Context(prec=50), Decimal("1e-30")
 EUROC_HEAD = (
     "#timestamp [ns],p_RS_R_x [m],p_RS_R_y [m],p_RS_R_z [m],"
     "q_RS_w [],q_RS_x [],q_RS_y [],q_RS_z []\n"
@@ -99,8 +103,7 @@ def parse_poses(text: str, where: str = "text") -> Poses:
         return Poses(times=None, Ts_world_imu=_from_matrices(rows.reshape(-1, 3, 4), where))
     columns = 8 if kind is Format.TUM else max(8, next(_lines(text)).count(",") + 1)
     rows = parse_rows(text, columns, where)
-    unit = NANOSECONDS if kind is Format.EUROC else Decimal(1)
-    times = tuple(Decimal(line.replace(",", " ").split()[0]) / unit for line in _lines(text))
+    times = tuple(_time(line, kind, where) for line in _lines(text))
     for i, (before, after) in enumerate(pairwise(times), 2):
         if not before < after:
             raise DatasetError(
@@ -172,6 +175,21 @@ def write_tum(path: Path, times_s: Array, Ts_world_imu: Array) -> None:
     """
     times = tuple(Decimal(repr(t)) for t in times_s.tolist())
     write_poses(path, Poses(times=times, Ts_world_imu=Ts_world_imu), Format.TUM)
+
+
+def _time(line: str, kind: Format, where: str) -> Decimal:
+    """The first word of a line as seconds, whatever a stranger wrote there."""
+    word = line.replace(",", " ").split()[0]
+    try:
+        time = EXACT.divide(Decimal(word), NANOSECONDS if kind is Format.EUROC else Decimal(1))
+        if abs(time) < MAX_TIME_S:
+            return EXACT.normalize(EXACT.quantize(time, FINEST))
+    except InvalidOperation:
+        pass  # digits that no float64 has
+    raise DatasetError(
+        f"{where}: expected times in {'nanoseconds' if kind is Format.EUROC else 'seconds'}, got "
+        f"{word:.40}."
+    )
 
 
 def _digits(time: Decimal) -> str:

@@ -1,5 +1,6 @@
 """Trajectories in files: every digit, every format, and what is refused."""
 
+from contextlib import suppress
 from decimal import Decimal
 
 import numpy as np
@@ -105,6 +106,41 @@ def test_matrices_of_few_digits_become_rotations():
     assert T[:3, 3].tolist() == [1, 2, 3]
 
 
+#: Words that float, Decimal and int take in different ways.
+awkward = st.sampled_from(
+    [
+        *("1e-999999999", "1e400", "1e40", "9.3e9", "-1e300", "1_0", "nan", "inf", "0x1", "1e", ""),
+        *("1e-99999999999999999999999", "0e9999999999", "1." + "3" * 500, "9" * 400, "-0.0", "٣"),
+    ]
+)
+
+
+@given(
+    rows=st.lists(st.lists(awkward | st.floats().map(repr), max_size=13), max_size=4),
+    comma=st.sampled_from([" ", ",", ", "]),
+)
+def test_a_strangers_words_are_poses_or_an_error_of_ours(rows, comma):
+    text = "\n".join(comma.join(row) for row in rows)
+    with suppress(DatasetError):
+        poses = parse_poses(text)
+        assert np.isfinite(poses.elapsed_s).all()
+        for kind in Format if poses.times else [Format.KITTI]:
+            assert len(format_poses(poses, kind)) < 10_000
+
+
+@given(
+    word=awkward,
+    comma=st.sampled_from([" ", ","]),
+)
+def test_a_strangers_time_is_a_time_or_an_error_of_ours(word, comma):
+    text = comma.join([word, "0", "0", "0", *(["0", "0", "0", "1"] if comma == " " else "1000")])
+    with suppress(DatasetError):
+        (time,) = parse_poses(text).times_s
+        assert abs(time) < 9.3e9
+        for kind in Format:
+            assert len(format_poses(parse_poses(text), kind)) < 1000
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -122,6 +158,7 @@ def test_matrices_of_few_digits_become_rotations():
         ("1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 0 0 1 0 0 0 0 1\n", "a.tum:2: expected 12 numbers"),
         ("1 0 0 0 0 1 0 0 0 0 -1 0\n", r"R\^T R = I and det R = 1, but pose 1 is off by"),
         ("5,0,0,0,1,0,0,0\n4,0,0,0,1,0,0,0\n", "increasing times, but pose 2"),
+        ("1403636579763555584 0 0 0 0 0 0 1\n", "expected times in seconds, got 14036365797635"),
         ("5,0,0,0,1\n", "a.tum:1: expected 8 numbers, got 5"),
     ],
 )
