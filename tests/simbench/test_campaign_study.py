@@ -1,11 +1,17 @@
 """What a study file means, and what is said of one that means nothing."""
 
+import re
+from pathlib import Path
+
 import pytest
 
+import simbench.campaign
 from simbench.campaign import load
 from simbench.errors import ScenarioError
 from simbench.scenario import load as load_scenario
 from tests.simbench.campaigns import STUDY
+
+ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture
@@ -86,6 +92,24 @@ def test_a_plan_loads_back_from_its_own_text(write, tmp_path):
     (tmp_path / "elsewhere").mkdir()
     (whole := tmp_path / "elsewhere" / "study.yaml").write_text(plan.to_yaml())
     assert load(whole) == plan
+
+
+def test_the_study_in_the_readme_is_one(write):
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    (shown,) = re.findall(r"^```yaml\n(scenarios:.*?)^```", text, re.MULTILINE | re.DOTALL)
+    path = write(shown)
+    for name in ("figure8.yaml", "helix.yaml"):
+        path.with_name(name).symlink_to(ROOT / "scenarios" / name)
+    assert len(load(path).cases) == 2 * 2 * 2
+
+
+def test_the_study_in_the_docstring_is_one(write):
+    (shown,) = re.findall(r"```yaml\n(.*?)```", str(simbench.campaign.__doc__), re.DOTALL)
+    path = write(shown)
+    path.with_name("figure8.yaml").symlink_to(ROOT / "scenarios" / "figure8.yaml")
+    plan = load(path)
+    assert len(plan.cases) == 2
+    assert plan.study.outputs == ("parquet", "series")
 
 
 @pytest.mark.parametrize(
