@@ -45,6 +45,18 @@ FILTERS = MappingProxyType(
             "slam whose covariance is carried along when an update moves the estimate",
             "vislam.filters:slam_transport",
         ),
+        "slam-invariant": (
+            "slam with the right-invariant error of pose and landmarks",
+            "vislam.filters:slam_invariant",
+        ),
+        "slam-inverse-depth": (
+            "slam-transport whose landmarks move along their inverse depth, for far ones",
+            "vislam.filters:slam_inverse_depth",
+        ),
+        "slam-iterated": (
+            "slam-transport whose update is iterated, for large innovations",
+            "vislam.filters:slam_iterated",
+        ),
     }
 )
 

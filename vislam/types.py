@@ -279,6 +279,13 @@ class Belief:
     joint_covariance: Array | None = None
     chart: str | ErrorFunction = "right"
 
+    @property
+    def of_pose(self) -> "Belief":
+        """What it holds of the pose alone."""
+        return Belief(
+            T_world_imu=self.T_world_imu, pose_covariance=self.pose_covariance, chart=self.chart
+        )
+
     def error(self, truth: State) -> Array:
         """The error vector in this belief's chart, in the order of its joint covariance.
 

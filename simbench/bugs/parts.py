@@ -14,6 +14,7 @@ from vislam import camera
 from vislam.arrays import Array, BoolArray, IntArray
 from vislam.charts import LEFT, RIGHT, Chart
 from vislam.filters import model
+from vislam.filters.estimate import Estimate
 from vislam.filters.observation import Observation
 from vislam.filters.records import MAP, POSE, Augment, Correct, Linear, Record
 from vislam.filters.slam import EkfSlam, Estimate, Parts
@@ -167,12 +168,11 @@ def _never_symmetrised(record: Record, P: Array) -> Array:
 
 
 def _reset_by_right_jacobian(
-    T: Array,
-    landmarks: Array,  # noqa: ARG001
+    x: Estimate,
     T_next: Array,
     landmarks_next: Array,  # noqa: ARG001
 ) -> Linear:
-    return Linear(F=se3.right_jacobian(se3.log(se3.inverse(T) @ T_next)))
+    return Linear(F=se3.right_jacobian(se3.log(se3.inverse(x.T) @ T_next)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

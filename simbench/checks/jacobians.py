@@ -16,7 +16,7 @@ from simbench.checks.alike import ROUNDING, relative_difference
 from simbench.checks.chart import derivative, moved, state_of, varied
 from simbench.checks.result import CheckResult, NotApplicable, check, judged
 from simbench.checks.short_drive import ShortDrive
-from simbench.checks.structure import observation_matrix, through
+from simbench.checks.structure import observation_matrix
 from simbench.checks.trace import Call, Feed, held, white_box
 from simbench.sensors import seen_from
 from vislam.arrays import Array, IntArray
@@ -99,7 +99,7 @@ def _blocks(
                 what, motion = "A", np.eye(4)
                 if not isinstance(step, Frame):
                     what, motion = "F", se3.exp(step[1] * step[0].vector)
-                got = through(record, np.eye(6 + 3 * len(ids)))
+                got = record.carried(np.eye(6 + 3 * len(ids)))
                 expected = _transition(start, _with(ids, after, before), motion)
                 rows = {"pose": slice(0, 6), "landmarks": slice(6, None)}
                 yield from _compared(f"{after.name}: {what}", got, expected, rows)

@@ -170,7 +170,7 @@ def _leaks(calls: list[tuple[Call, Call]]) -> tuple[list[Leak], list[Leak]]:
                 case Drop():
                     N, own = _without(N, record.slots), _without(own, record.slots)
                 case Linear():
-                    N, own = through(record, N), through(record, own)
+                    N, own = record.carried(N), record.carried(own)
                     if after.name.startswith("predict"):
                         local.append(_difference(f"{after.name} moves {_MOTION}", own, N_after))
                     elif record.M is not None:  # else it resets the pose alone, as some EKFs do
@@ -201,14 +201,6 @@ def observation_matrix(record: Correct, size: int) -> Array:
     return H
 
 
-def through(record: Linear, rows: Array) -> Array:
-    """The state's rows after a linear record."""
-    pose, landmarks = rows[:6], rows[6:]
-    if record.M is not None:
-        landmarks = landmarks + record.M @ pose
-    return np.vstack([record.F @ pose, landmarks])
-
-
 def _without(rows: Array, slots: IntArray) -> Array:
     return np.delete(rows, (6 + 3 * slots[:, None] + np.arange(3)).ravel(), axis=0)
 
@@ -223,7 +215,7 @@ def _observability(calls: list[tuple[Call, Call]]) -> Array:
         for record in after.records:
             match record:
                 case Linear():
-                    Phi = through(record, Phi)
+                    Phi = record.carried(Phi)
                 case Correct():
                     rows.append(observation_matrix(record, len(Phi)) @ Phi)
                 case Drop():

@@ -17,7 +17,15 @@ from tests.oracles.dense_ekf import DenseEkf
 from vislam.filters import EkfSlam, Filter, Parts
 from vislam.types import Belief, Innovation, Task
 
-RIGHT = ["dead-reckoning", "mapping-truth", "slam", "slam-fej", "slam-transport"]
+RIGHT = [
+    "dead-reckoning",
+    "mapping-truth",
+    "slam",
+    "slam-fej",
+    "slam-transport",
+    "slam-invariant",
+    "slam-iterated",
+]
 
 
 @pytest.mark.parametrize("scene", SCENES)

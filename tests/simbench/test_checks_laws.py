@@ -26,7 +26,14 @@ LAWS = [
     laws.ignore_what_a_mask_hides,
     laws.state_covariances,
 ]
-RIGHT = ["dead-reckoning", "mapping", "mapping-truth", "slam", "slam-fej", "slam-transport"]
+CONSISTENT = [
+    "slam-fej",
+    "slam-transport",
+    "slam-invariant",
+    "slam-iterated",
+    "slam-inverse-depth",
+]
+RIGHT = ["dead-reckoning", "mapping", "mapping-truth", "slam", *CONSISTENT]
 
 
 @pytest.mark.parametrize("law", LAWS, ids=lambda law: law.__name__)
@@ -190,7 +197,7 @@ def test_filter_of_raw_imu_samples_is_left_alone():
     assert laws.run_twice(Raw).outcome == "skipped"
 
 
-@pytest.mark.parametrize("name", ["slam", "slam-fej", "slam-transport", "mapping-truth"])
+@pytest.mark.parametrize("name", ["slam", *CONSISTENT, "mapping-truth"])
 @pytest.mark.parametrize("scene", list(SCENES))
 def test_right_gate_refuses_as_often_as_told(name, scene):
     """False alarm 1e-4 for each of 16, over the choice of the stream."""

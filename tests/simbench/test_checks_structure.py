@@ -33,7 +33,10 @@ def few_sightings(monkeypatch):
 
 
 @pytest.mark.parametrize("check", KEPT, ids=lambda check: check.__name__)
-@pytest.mark.parametrize("name", ["slam-fej", "slam-transport"])
+@pytest.mark.parametrize(
+    "name",
+    ["slam-fej", "slam-transport", "slam-invariant", "slam-iterated", "slam-inverse-depth"],
+)
 def test_consistent_filter_passes(check, name):
     result = check(resolve(name))
     assert result.passed, str(result)

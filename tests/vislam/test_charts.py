@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.linalg import expm
 
 from tests.vislam.lie_values import assert_same, elements, tangents
-from vislam.charts import CHARTS, LEFT, RIGHT
+from vislam.charts import CHARTS, INVARIANT, LEFT, RIGHT
 from vislam.lie import se3
 
 each_chart = pytest.mark.parametrize("chart", CHARTS.values(), ids=CHARTS.keys())
@@ -98,5 +98,16 @@ def test_a_batch_is_a_loop(chart, shape, m):
 
 
 def test_charts_are_listed_by_their_names():
-    assert CHARTS == {"right": RIGHT, "left": LEFT}
+    assert CHARTS == {"right": RIGHT, "left": LEFT, "invariant": INVARIANT}
     assert all(chart.name == name for name, chart in CHARTS.items())
+
+
+@given(T=elements(), m=maps, theta=st.tuples(*[st.floats(-1.7, 1.7)] * 3))
+def test_a_turn_whose_landmark_error_undoes_it_moves_no_landmark_in_the_invariant_chart(
+    T, m, theta
+):
+    """Exp(theta) f + J_l(theta) (f^ theta) = f: the retraction that is right to all orders."""
+    theta = np.array(theta)
+    e = np.concatenate([np.zeros(3), theta, np.cross(m, theta).ravel()])
+    _, moved = INVARIANT.retract(T, m, e)
+    assert_allclose(moved, m, rtol=0, atol=1e-12 * (1 + np.abs(m).max(initial=0)))

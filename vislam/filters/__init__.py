@@ -2,6 +2,9 @@
 
 from vislam.filters.consistent import slam_fej, slam_transport
 from vislam.filters.dead_reckoning import DeadReckoning
+from vislam.filters.invariant import slam_invariant
+from vislam.filters.inverse_depth import slam_inverse_depth
+from vislam.filters.iterated import slam_iterated
 from vislam.filters.mapping import Mapping
 from vislam.filters.protocol import Factory, Filter
 from vislam.filters.slam import EkfSlam, Parts, slam_constant_prior
@@ -15,5 +18,8 @@ __all__ = [
     "Parts",
     "slam_constant_prior",
     "slam_fej",
+    "slam_invariant",
+    "slam_inverse_depth",
+    "slam_iterated",
     "slam_transport",
 ]

@@ -16,7 +16,17 @@ from typing import TypeAlias
 import numpy as np
 
 from vislam.arrays import Array, IntArray
-from vislam.filters.records import MAP, POSE, Augment, Correct, Drop, Linear, Record
+from vislam.filters.estimate import Estimate
+from vislam.filters.records import (
+    MAP,
+    POSE,
+    Augment,
+    Correct,
+    Drop,
+    Linear,
+    Record,
+    times_blocks,
+)
 from vislam.gaussian import symmetrised, transposed
 
 
@@ -27,15 +37,13 @@ class Kept:
     Attributes:
         ids: landmarks whose final estimate is due here, shape (d,).
         slots: their places among the state's, shape (d,).
-        landmarks: their estimates, shape (..., d, 3).
-        T_world_imu: the pose, shape (..., 4, 4).
+        x: the estimate of the pose and of these landmarks.
         P: the covariance of the whole state, shape (..., n, n).
     """
 
     ids: IntArray
     slots: IntArray
-    landmarks: Array
-    T_world_imu: Array
+    x: Estimate
     P: Array
 
     @property
@@ -111,7 +119,7 @@ class Later:
                 return self
 
     def _before_linear(self, record: Linear) -> "Later":
-        """e+ = A e + N w with A = [F, 0; M, I]: the noise is integrated out, A carries the rest."""
+        """e+ = A e + N w: the noise is integrated out, A carries the rest."""
         later = self
         if record.Q is not None:
             later = later._without_noise(record.N, record.Q)
@@ -121,19 +129,20 @@ class Later:
         y[..., POSE] = _times(transposed(columns), later.vector[..., part])
         Y[..., POSE, :] = transposed(columns) @ Y[..., part, :]
         Y[..., POSE] = Y[..., part] @ columns
+        if record.D is not None:
+            D_T = transposed(record.D)
+            y[..., MAP] = times_blocks(D_T, y[..., MAP, None])[..., 0]
+            Y[..., MAP, :] = times_blocks(D_T, Y[..., MAP, :])
+            Y[..., MAP] = transposed(times_blocks(D_T, transposed(Y[..., MAP])))
         return Later(vector=y, information=Y)
 
     def _without_noise(self, N: Array | None, Q: Array) -> "Later":
-        """Integrate out w ~ N(0, Q) of e + [w; N w]: rank 6."""
-        Y_N = self.information[..., POSE]
-        y_N = self.vector[..., POSE]
-        if N is not None:
-            Y_N = Y_N + self.information[..., MAP] @ N
-            y_N = y_N + _times(transposed(N), self.vector[..., MAP])
-        info = Y_N[..., POSE, :]
-        if N is not None:
-            info = info + transposed(N) @ Y_N[..., MAP, :]
-        return self._less(Y_N, y_N, info, Q)
+        """Integrate out w ~ N(0, Q) of e + N w: rank 6."""
+        if N is None:
+            Y_N, y_N = self.information[..., POSE], self.vector[..., POSE]
+            return self._less(Y_N, y_N, Y_N[..., POSE, :], Q)
+        Y_N, N_T = self.information @ N, transposed(N)
+        return self._less(Y_N, _times(N_T, self.vector), N_T @ Y_N, Q)
 
     def _less(self, Y_N: Array, y_N: Array, info: Array, Q: Array) -> "Later":
         """Take off Y_N (Q^-1 + info)^-1 y_N and Y_N (Q^-1 + info)^-1 Y_N^T, for a Q of any rank."""

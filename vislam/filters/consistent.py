@@ -11,8 +11,9 @@ import numpy as np
 
 from vislam.arrays import Array
 from vislam.filters import model
+from vislam.filters.estimate import Estimate
 from vislam.filters.records import Linear
-from vislam.filters.slam import EkfSlam, Estimate, Parts
+from vislam.filters.slam import EkfSlam, Parts
 from vislam.lie import so3
 
 
@@ -25,7 +26,7 @@ def at_first_estimates(x: Estimate) -> tuple[Array, Array]:
     return x.T_first, x.landmarks_first
 
 
-def transport(T: Array, landmarks: Array, T_next: Array, landmarks_next: Array) -> Linear:
+def transport(x: Estimate, T_next: Array, landmarks_next: Array) -> Linear:
     """Carry the covariance from the estimate before an update to the one after.
 
     The covariance of the update belongs to errors about the estimate before. With R, p, f before
@@ -37,10 +38,10 @@ def transport(T: Array, landmarks: Array, T_next: Array, landmarks_next: Array) 
 
     The first two are Ad(T+^-1 T), as over a prediction.
     """
-    M = np.zeros((*landmarks.shape, 6))
-    M[..., 3:] = so3.hat(landmarks - landmarks_next) @ T[..., None, :3, :3]
-    rows = (*landmarks.shape[:-2], 3 * landmarks.shape[-2], 6)
-    return Linear(F=model.transition(T, T_next), M=M.reshape(rows))
+    M = np.zeros((*landmarks_next.shape, 6))
+    M[..., 3:] = so3.hat(x.landmarks - landmarks_next) @ x.T[..., None, :3, :3]
+    rows = (*landmarks_next.shape[:-2], 3 * landmarks_next.shape[-2], 6)
+    return Linear(F=model.transition(x.T, T_next), M=M.reshape(rows))
 
 
 FIRST_ESTIMATES = Parts(linearise=at_first_estimates)

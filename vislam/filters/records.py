@@ -19,23 +19,29 @@ MAP = slice(6, None)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Linear:
-    """x_R <- F x_R + w, w ~ N(0, Q), and m <- m + M x_R + N w: a prediction, or a transport.
+    """x <- A x + N w, w ~ N(0, Q), with A = [F, 0; M, D]: a prediction, or a transport.
 
     Attributes:
-        F: shape (..., 6, 6).
-        Q: shape (..., 6, 6); None without noise.
-        M: shape (..., 3m, 6); None where the landmarks do not follow the pose.
-        N: shape (..., 3m, 6); None where the noise is the pose's alone.
+        F: of the pose, shape (..., 6, 6).
+        Q: covariance of the noise, shape (..., 6, 6); None without noise.
+        N: what the noise does to the state, shape (..., 6 + 3m, 6); None where it is the pose's
+            alone, as it comes.
+        M: what the pose does to the landmarks, shape (..., 3m, 6); None for nothing.
+        D: of each landmark, shape (..., m, 3, 3); None where they stay as they are.
     """
 
     F: Array
     Q: Array | None = None
-    M: Array | None = None
     N: Array | None = None
+    M: Array | None = None
+    D: Array | None = None
 
     def forward(self, P: Array) -> Array:
-        """The covariance afterwards; both cross blocks move with the pose (the paper, III.C.2)."""
+        """A P A^T + N Q N^T; both cross blocks move with the pose (the paper, III.C.2)."""
         P = P.copy()
+        if self.D is not None:
+            P[..., MAP] = transposed(times_blocks(self.D, transposed(P[..., MAP])))
+            P[..., MAP, :] = times_blocks(self.D, P[..., MAP, :])
         pose, cross = P[..., POSE, POSE].copy(), P[..., POSE, MAP]
         if self.M is not None:
             by_map = self.M @ cross
@@ -43,16 +49,20 @@ class Linear:
             P[..., MAP, MAP] += symmetrised(self.M @ pose @ transposed(self.M))
             cross = cross + pose @ transposed(self.M)
         P[..., POSE, MAP] = self.F @ cross
-        pose = self.F @ pose @ transposed(self.F)
-        if self.Q is not None:
-            pose = pose + self.Q
-            if self.N is not None:
-                by_noise = self.Q @ transposed(self.N)
-                P[..., POSE, MAP] += by_noise
-                P[..., MAP, MAP] += symmetrised(self.N @ by_noise)
         P[..., MAP, POSE] = transposed(P[..., POSE, MAP])
-        P[..., POSE, POSE] = symmetrised(pose)
+        P[..., POSE, POSE] = symmetrised(self.F @ pose @ transposed(self.F))
+        if self.Q is not None and self.N is None:
+            P[..., POSE, POSE] += symmetrised(self.Q)
+        elif self.Q is not None and self.N is not None:
+            P += symmetrised(self.N @ self.Q @ transposed(self.N))
         return P
+
+    def carried(self, x: Array) -> Array:
+        """A x, for x of shape (..., 6 + 3m, c)."""
+        landmarks = x[..., MAP, :] if self.D is None else times_blocks(self.D, x[..., MAP, :])
+        if self.M is not None:
+            landmarks = landmarks + self.M @ x[..., POSE, :]
+        return np.concatenate([self.F @ x[..., POSE, :], landmarks], axis=-2)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -144,3 +154,8 @@ def diagonal_blocks(P: Array) -> Array:
     m = P.shape[-1] // 3
     blocks: Array = np.einsum("...iaib->...iab", P.reshape(*P.shape[:-2], m, 3, m, 3))
     return blocks
+
+
+def times_blocks(D: Array, X: Array) -> Array:
+    """Each 3x3 block of D, shape (..., m, 3, 3), times its three rows of X, (..., 3m, c)."""
+    return np.asarray((D @ X.reshape(*X.shape[:-2], -1, 3, X.shape[-1])).reshape(X.shape))

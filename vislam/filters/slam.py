@@ -18,6 +18,7 @@ from vislam.arrays import Array, BoolArray, IntArray
 from vislam.charts import RIGHT, Chart
 from vislam.filters import model
 from vislam.filters.backward import Kept, Later, past
+from vislam.filters.estimate import Estimate
 from vislam.filters.observation import Observation
 from vislam.filters.records import (
     MAP,
@@ -34,23 +35,6 @@ from vislam.filters.tape import Tape
 from vislam.types import Belief, Calibration, Frame, Innovation, Noise, Smoothed, Task, Twist
 
 
-@dataclass(slots=True)
-class Estimate:
-    """The mutable estimate: pose and living landmarks, and what was first thought of them.
-
-    Attributes:
-        T: pose, shape (..., 4, 4).
-        T_first: the pose as predicted for the present frame.
-        landmarks: shape (..., m, 3).
-        landmarks_first: as they entered the state.
-    """
-
-    T: Array
-    T_first: Array
-    landmarks: Array
-    landmarks_first: Array
-
-
 def at_estimate(x: Estimate) -> tuple[Array, Array]:
     """Linearise at the present estimate, as the extended Kalman filter does."""
     return x.T, x.landmarks
@@ -61,6 +45,11 @@ def as_recorded(record: Record, P: Array) -> Array:
     return record.forward(P)
 
 
+def added(chart: Chart, x: Estimate, delta: Array) -> tuple[Array, Array]:
+    """The pose and landmarks that an error vector leads to, as the chart has it."""
+    return chart.retract(x.T, x.landmarks, delta)
+
+
 @dataclass(frozen=True, slots=True)
 class Parts:
     """The formulas of the recursion. A variant of the filter replaces some, and nothing else.
@@ -69,6 +58,9 @@ class Parts:
 
     Attributes:
         chart: error and retraction.
+        retract: the pose and landmarks that an error vector leads to.
+        from_right: columns that turn the pose's error of the paper's chart into the state's error
+            of this one at (pose, landmarks), shape (..., 6 + 3m, 6); None where they are one.
         linearise: the pose and landmarks at which Jacobians are taken.
         transition: F, from the linearisation pose and the predicted one.
         process_noise: what a step adds to the pose's covariance.
@@ -78,12 +70,16 @@ class Parts:
         gate: which sightings to accept.
         correct: the update that an observation makes.
         birth: new landmarks, their Jacobian by the pose's error, their own covariance.
-        transport: what an update that moved the estimate from (pose, landmarks) to (pose,
-            landmarks) does to the covariance besides; None for nothing.
+        iterate: the last correction, from the first and from the sightings linearised where an
+            error vector leads; None where the first is the last.
+        transport: what an update that moved an estimate to (pose, landmarks) does to the covariance
+            besides; None for nothing.
         change: the covariance after a record.
     """
 
     chart: Chart = RIGHT
+    retract: Callable[[Chart, Estimate, Array], tuple[Array, Array]] = added
+    from_right: Callable[[Array, Array], Array] | None = None
     linearise: Callable[[Estimate], tuple[Array, Array]] = at_estimate
     transition: Callable[[Array, Array], Array] = model.transition
     process_noise: Callable[[Noise, Twist, float], Array] = model.process_noise
@@ -97,7 +93,8 @@ class Parts:
     birth: Callable[[Calibration, Noise, Array, Array, Array], tuple[Array, Array, Array]] = (
         model.inverse_observation
     )
-    transport: Callable[[Array, Array, Array, Array], Linear] | None = None
+    iterate: Callable[[Correct, Callable[[Array], Observation]], Correct] | None = None
+    transport: Callable[[Estimate, Array, Array], Linear] | None = None
     change: Callable[[Record, Array], Array] = as_recorded
 
 
@@ -141,10 +138,13 @@ class EkfSlam:
             for k, i in enumerate(prior.ids.tolist()):
                 covariance = prior.landmark_covariances[..., k, :, :]
                 self._waiting[i] = prior.landmarks[..., k, :], covariance
-        self.x = Estimate(T=T, T_first=T, landmarks=landmarks, landmarks_first=landmarks)
+        self.x = Estimate.of(T, landmarks, T @ self.calibration.T_imu_cam)
         self._unseen = np.zeros(len(self.ids), np.int64)  # frames since each was sighted
         self._kept = np.zeros(len(self.ids), bool)  # the way back knows of it
         self.P = np.broadcast_to(P, (*batch, *P.shape[-2:])).copy()
+        if parts.from_right is not None:
+            A = parts.from_right(T, landmarks)
+            self.P = Linear(F=A[..., POSE, :], M=A[..., MAP, :]).forward(self.P)
 
     def predict(self, motion: Twist, dt: float) -> None:
         """Move by the twist, the paper's III.C.2."""
@@ -152,7 +152,8 @@ class EkfSlam:
         T_linear, _ = parts.linearise(x)
         T_next = model.moved(x.T, motion, dt)
         Q = parts.process_noise(self.noise, motion, dt)
-        self._apply(Linear(F=parts.transition(T_linear, T_next), Q=Q))
+        N = None if parts.from_right is None else parts.from_right(T_next, x.landmarks)
+        self._apply(Linear(F=parts.transition(T_linear, T_next), Q=Q, N=N))
         x.T = x.T_first = T_next
 
     def update(self, frame: Frame) -> Innovation:
@@ -170,15 +171,17 @@ class EkfSlam:
         return replace(innovation, born=frame.ids[new], skipped=frame.ids[skipped])
 
     def belief(self, joint: bool = False) -> Belief:
-        """Pose and living landmarks."""
+        """Pose and living landmarks; without the joint covariance in the paper's chart."""
+        own = joint or self.parts.from_right is None
+        P = self.P if own else self._to_right(self.x).forward(self.P)
         return Belief(
             T_world_imu=self.x.T.copy(),
-            pose_covariance=self.P[..., POSE, POSE].copy(),
+            pose_covariance=P[..., POSE, POSE].copy(),
             ids=self.ids.copy(),
             landmarks=self.x.landmarks.copy(),
-            landmark_covariances=diagonal_blocks(self.P[..., MAP, MAP]).copy(),
-            joint_covariance=self.P.copy() if joint else None,
-            chart=self.parts.chart.name,
+            landmark_covariances=diagonal_blocks(P[..., MAP, MAP]).copy(),
+            joint_covariance=P.copy() if joint else None,
+            chart=self.parts.chart.name if own else RIGHT.name,
         )
 
     def finish(self) -> Smoothed:
@@ -190,24 +193,36 @@ class EkfSlam:
         retired, poses, later = Retired(), [], Later.nothing(self.P)
         for each in reversed(self._past or ()):
             if isinstance(each, Kept):
-                change, covariance = later.smoothed(each.P, each.rows)
-                moved = change[..., MAP].reshape(each.landmarks.shape)
-                retired.add(
-                    each.ids, each.landmarks + moved, diagonal_blocks(covariance[..., MAP, MAP])
-                )
-                poses.append(self._smoothed(each.T_world_imu, change, covariance))
+                belief = self._smoothed(each, *later.smoothed(each.P, each.rows))
+                retired.add(each.ids, belief.landmarks, belief.landmark_covariances)
+                poses.append(belief.of_pose)
             later = later.before(each)
         final = retired.joined_to(self.belief())
         return Smoothed(final=final, poses=tuple(reversed(poses)) if self._smooth else ())
 
-    def _smoothed(self, T: Array, change: Array, covariance: Array) -> Belief:
-        chart, no_landmarks = self.parts.chart, np.empty((*T.shape[:-2], 0, 3))
-        T_smoothed, _ = chart.retract(T, no_landmarks, change[..., POSE])
+    def _smoothed(self, kept: Kept, change: Array, P: Array) -> Belief:
+        """What was kept, changed by what came later, in the paper's chart."""
+        parts = self.parts
+        T, landmarks = parts.retract(parts.chart, kept.x, change)
+        if parts.transport is not None:
+            A = parts.transport(kept.x, T, landmarks)
+            P = Linear(F=np.eye(6), D=A.D).forward(P)
+        if parts.from_right is not None:
+            P = self._to_right(kept.x).forward(P)
         return Belief(
-            T_world_imu=T_smoothed,
-            pose_covariance=covariance[..., POSE, POSE].copy(),
-            chart=chart.name,
+            T_world_imu=T,
+            pose_covariance=P[..., POSE, POSE].copy(),
+            ids=kept.ids,
+            landmarks=landmarks,
+            landmark_covariances=diagonal_blocks(P[..., MAP, MAP]).copy(),
         )
+
+    def _to_right(self, x: Estimate) -> Linear:
+        """The error in the paper's chart from that in this one."""
+        assert self.parts.from_right is not None
+        A = self.parts.from_right(x.T, x.landmarks)
+        F = np.asarray(np.linalg.inv(A[..., POSE, :]))
+        return Linear(F=F, M=-A[..., MAP, :] @ F)
 
     def _apply(self, record: Record) -> None:
         self.P = self.parts.change(record, self.P)
@@ -218,39 +233,74 @@ class EkfSlam:
 
     def _correct(self, ids: IntArray, slots: IntArray, readings: Array) -> Innovation:
         """The paper's III.C.5 over the known landmarks; ids (k,), readings (..., k, c)."""
-        x, parts, calibration = self.x, self.parts, self.calibration
-        T_linear, landmarks_linear = parts.linearise(x)
-        predicted = model.predicted(calibration, x.T, x.landmarks[..., slots, :])
+        x, parts = self.x, self.parts
+        predicted = model.predicted(self.calibration, x.T, x.landmarks[..., slots, :])
         residual = readings - predicted
         front = np.flatnonzero(model.finite(residual))
-        slots = slots[front]
-        W = parts.whitening(self.noise, predicted[..., front, :])
+        slots, W = slots[front], parts.whitening(self.noise, predicted[..., front, :])
         white = model.whitened(W, residual[..., front, :])
-        H_pose, H_map = parts.observation_jacobians(
-            calibration, T_linear, landmarks_linear[..., slots, :]
-        )
-        rows, dof = W[..., :3, :], white.shape[-1]
-        observation = Observation.of(
-            self.P, slots=slots, H_pose=rows @ H_pose, H_map=rows @ H_map, r=white[..., :3]
-        )
-        passed = model.predictable(calibration, W, observation.S_each)
+        T_linear, landmarks_linear = parts.linearise(x)
+        observation = self._observation(T_linear, landmarks_linear, slots, W, white)
+        passed = model.predictable(self.calibration, W, observation.S_each)
         if self.gate is not None:
             noise_only = np.square(white[..., 3:]).sum(axis=-1)
+            dof = white.shape[-1]
             passed &= parts.gate(observation.distances() + noise_only, self.gate, dof)
-        correction = parts.correct(observation.only(passed))
+        first = correction = parts.correct(observation.only(passed))
+        if parts.iterate is not None:
+            sighted = readings[..., front, :]
+            correction = parts.iterate(
+                first, lambda delta: self._seen_from(delta, slots, W, sighted).only(passed)
+            )
         self._apply(correction)
-        T, landmarks = x.T, x.landmarks
-        x.T, x.landmarks = parts.chart.retract(T, landmarks, correction.delta)
+        before = replace(x)
+        x.T, x.landmarks = parts.retract(parts.chart, x, correction.delta)
         if parts.transport is not None and len(correction.slots):
-            self._apply(parts.transport(T, landmarks, x.T, x.landmarks))
+            self._apply(parts.transport(before, x.T, x.landmarks))
 
         kept = front[passed] if passed.ndim == 1 else front
         whitened = np.zeros(readings.shape)
-        whitened[..., kept, :3] = correction.whitened.reshape(*passed.shape[:-1], -1, 3)
+        whitened[..., kept, :3] = first.whitened.reshape(*passed.shape[:-1], -1, 3)
         whitened[..., front, 3:] = white[..., 3:] * passed[..., None]
         accepted = np.zeros(readings.shape[:-1], bool)
         accepted[..., front] = passed
         return Innovation(ids=ids, residual=residual, whitened=whitened, accepted=accepted)
+
+    def _observation(
+        self, T: Array, landmarks: Array, slots: IntArray, W: Array, white: Array
+    ) -> Observation:
+        """What landmarks at `slots` say, linearised at a pose and all landmarks."""
+        H_pose, H_map = self.parts.observation_jacobians(
+            self.calibration, T, landmarks[..., slots, :]
+        )
+        rows = W[..., :3, :]
+        return Observation.of(
+            self.P, slots=slots, H_pose=rows @ H_pose, H_map=rows @ H_map, r=white[..., :3]
+        )
+
+    def _seen_from(self, delta: Array, slots: IntArray, W: Array, readings: Array) -> Observation:
+        """Known landmarks seen from where delta leads: z - h(x + delta) + H delta, by delta.
+
+        The transport turns delta into the error about x + delta, so that what cannot be observed
+        from the one cannot be from the other.
+        """
+        parts, x = self.parts, self.x
+        T, landmarks = parts.retract(parts.chart, x, delta)
+        residual = readings - model.predicted(self.calibration, T, landmarks[..., slots, :])
+        seen = self._observation(T, landmarks, slots, W, model.whitened(W, residual))
+        H_pose, H_map = seen.H_pose, seen.H_map
+        if parts.transport is not None:
+            A = parts.transport(x, T, landmarks)
+            H_pose = H_pose @ A.F[..., None, :, :]
+            if A.M is not None:
+                of_map = A.M.reshape(*landmarks.shape, 6)
+                H_pose = H_pose + H_map @ of_map[..., slots, :, :]
+            if A.D is not None:
+                H_map = H_map @ A.D[..., slots, :, :]
+        f = delta[..., MAP].reshape(landmarks.shape)[..., slots, :, None]
+        by_delta = H_pose @ delta[..., None, POSE, None] + H_map @ f
+        r = seen.r + by_delta[..., 0]
+        return Observation.of(self.P, slots=slots, H_pose=H_pose, H_map=H_map, r=r)
 
     def _give_birth(self, ids: IntArray, readings: Array) -> None:
         """Enter new landmarks by their first sighting, at the updated pose."""
@@ -263,16 +313,18 @@ class EkfSlam:
         known = [i for i in ids.tolist() if i in self._waiting]
         if known:
             landmarks, covariances = zip(*(self._waiting.pop(i) for i in known), strict=True)
-            no_pose = np.zeros((*self.x.T.shape[:-2], len(known), 3, 6))
-            R = np.stack(covariances, axis=-3)
-            self._enter(np.array(known), np.stack(landmarks, axis=-2), no_pose, R)
+            points, R = np.stack(landmarks, axis=-2), np.stack(covariances, axis=-3)
+            G = np.zeros((*self.x.T.shape[:-2], len(known), 3, 6))
+            if self.parts.from_right is not None:
+                A = self.parts.from_right(self.x.T, points)
+                G = (A[..., MAP, :] @ np.linalg.inv(A[..., POSE, :])).reshape(G.shape)
+            self._enter(np.array(known), points, G, R)
 
     def _enter(self, ids: IntArray, landmarks: Array, G: Array, R: Array) -> None:
-        x = self.x
+        T = self.x.T
         self._apply(Augment(G=G.reshape(*G.shape[:-3], 3 * len(ids), 6), R=R))
         self.ids = np.concatenate([self.ids, ids])
-        x.landmarks = np.concatenate([x.landmarks, landmarks], axis=-2)
-        x.landmarks_first = np.concatenate([x.landmarks_first, landmarks], axis=-2)
+        self.x = self.x.joined_by(Estimate.of(T, landmarks, T @ self.calibration.T_imu_cam))
         self._unseen = np.concatenate([self._unseen, np.zeros(len(ids), np.int64)])
         self._kept = np.concatenate([self._kept, np.zeros(len(ids), bool)])
 
@@ -286,10 +338,9 @@ class EkfSlam:
         if not leaves.any():
             return
         self._apply(Drop.of(self.P.shape[-1], np.flatnonzero(leaves)))
-        x, stays = self.x, ~leaves
+        stays = ~leaves
         self.ids, self._unseen, self._kept = self.ids[stays], self._unseen[stays], self._kept[stays]
-        x.landmarks = x.landmarks[..., stays, :]
-        x.landmarks_first = x.landmarks_first[..., stays, :]
+        self.x = self.x.of_landmarks(stays)
 
     def _keep(self) -> Kept:
         """Note the state for the way back, which gives the landmarks that it meets here first.
@@ -299,13 +350,7 @@ class EkfSlam:
         """
         due = np.flatnonzero(~self._kept)
         self._kept[:] = True
-        return Kept(
-            ids=self.ids[due],
-            slots=due,
-            landmarks=self.x.landmarks[..., due, :],
-            T_world_imu=self.x.T,
-            P=self.P,
-        )
+        return Kept(ids=self.ids[due], slots=due, x=self.x.of_landmarks(due), P=self.P)
 
 
 #: The paper's own start of a landmark: what it is, inconsistent.

@@ -1,0 +1,69 @@
+"""EKF-SLAM whose landmarks move along their inverse depth: births that survive their depth.
+
+A disparity's error is Gaussian, a depth's is not once it is more than a twentieth of the depth
+itself. A landmark here moves in y = (x/z, y/z, 1/z) of the camera in which it was born, where it
+is seen almost linearly for as long as it lives. The state and its covariance stay in metres: an
+update moves a landmark by its step in y, and the covariance is carried from the tangent of y at the
+old estimate to that at the new one, along with the rest (`vislam.filters.consistent.transport`).
+
+Source: Civera, Davison, Montiel, Inverse depth parametrization for monocular SLAM, IEEE
+Transactions on Robotics 24(5), 2008, with the camera at birth held fixed.
+"""
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from vislam.arrays import Array
+from vislam.charts import Chart
+from vislam.filters import model
+from vislam.filters.consistent import TRANSPORTED
+from vislam.filters.estimate import Estimate
+from vislam.filters.records import Linear
+from vislam.filters.slam import EkfSlam
+from vislam.gaussian import transposed
+from vislam.lie import se3
+
+#: No update makes a landmark's depth more than so many times what it was: beyond lies infinity.
+MOST_GROWTH = 10.0
+
+
+def retract(chart: Chart, x: Estimate, delta: Array) -> tuple[Array, Array]:
+    """The pose as the chart has it, and each landmark by its step in y."""
+    none = x.landmarks[..., :0, :]
+    T, _ = chart.retract(x.T, none, delta[..., :6])
+    Ts = x.Ts_world_cam
+    q = se3.apply(se3.inverse(Ts), x.landmarks[..., None, :])[..., 0, :]
+    step = delta[..., 6:].reshape(x.landmarks.shape)
+    dq = (step[..., None, :] @ Ts[..., :3, :3])[..., 0, :]
+    depth, share = q[..., 2:], dq[..., 2:] / q[..., 2:]
+    growth = 1 / (1 - np.minimum(share, 1 - 1 / MOST_GROWTH))
+    moved = np.concatenate([q[..., :2] + dq[..., :2] - q[..., :2] * share, depth], axis=-1)
+    return T, se3.apply(Ts, (growth * moved)[..., None, :])[..., 0, :]
+
+
+def transport(x: Estimate, T_next: Array, landmarks_next: Array) -> Linear:
+    """Carry the covariance along, where a step in y moved the landmarks.
+
+    D is d f'/d y at the new estimate times d y/d f at the old. With it, a rigid motion of the world
+    keeps its direction, as in `vislam.filters.consistent.transport`, where
+    M = ([I, -f'^] - D [I, -f^]) Ad(T).
+    """
+    R_world_cam = x.Ts_world_cam[..., :3, :3]
+    to_cam = se3.inverse(x.Ts_world_cam)
+    q = se3.apply(to_cam, x.landmarks[..., None, :])[..., 0, :]
+    q_next = se3.apply(to_cam, landmarks_next[..., None, :])[..., 0, :]
+    growth = q_next[..., 2] / q[..., 2]
+    of_cam = np.zeros((*growth.shape, 3, 3))
+    of_cam[..., 0, 0] = of_cam[..., 1, 1] = growth
+    of_cam[..., 2, 2] = growth**2
+    of_cam[..., :2, 2] = growth[..., None] * (q_next - q)[..., :2] / q[..., 2:]
+    D = R_world_cam @ of_cam @ transposed(R_world_cam)
+    M = (se3.odot(landmarks_next) - D @ se3.odot(x.landmarks)) @ se3.adjoint(x.T)[..., None, :, :]
+    rows = (*landmarks_next.shape[:-2], 3 * landmarks_next.shape[-2], 6)
+    return Linear(F=model.transition(x.T, T_next), M=M.reshape(rows), D=D)
+
+
+INVERSE_DEPTH = replace(TRANSPORTED, retract=retract, transport=transport)
+slam_inverse_depth = partial(EkfSlam, parts=INVERSE_DEPTH)
