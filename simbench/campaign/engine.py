@@ -1,7 +1,7 @@
 """A campaign from a plan to its files.
 
-What a million runs cost, by measurement of the parts (figure8, one filter, a core shared with others;
-a run takes 1 s of it, 0.1 s of that the simulation): 280 core hours. Beside that,
+What a million runs cost, by measurement of the parts (figure8, one filter, a core with other work
+beside; a run takes 1 s of it, 0.1 s of that the simulation): 280 core hours. Beside that,
 
 - a process costs 1.2 s once; a laptop's driver 0.5 % of the time of its one process;
 - a task is 2.2 kB (the scene, not its data), a row that comes back 0.34 kB: 1.4 GB in all;
