@@ -14,8 +14,8 @@ from contextvars import ContextVar
 
 from simbench.errors import DatasetError, InputError
 
-#: Three times the features of the largest drive that is known.
-DEFAULT_BYTES = 4 * 2**30
+#: Half as much again as the features of the largest drive that is known.
+DEFAULT_BYTES = 2 * 2**30
 
 _UNITS = {"": 1, "K": 2**10, "M": 2**20, "G": 2**30, "T": 2**40}
 _limit_bytes = ContextVar("limit_bytes", default=DEFAULT_BYTES)

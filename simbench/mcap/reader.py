@@ -1,23 +1,21 @@
 """Reads recordings back, whole or as far as a killed run got."""
 
-import io
-import struct
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from mcap.exceptions import EndOfFile
-from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, McapRecord, Message, Metadata, Schema
-from mcap.stream_reader import StreamReader
-from mcap.writer import MCAP0_MAGIC
 
 from simbench.dataset import Dataset, Origin, PointSightings, RawImu, Sightings, Truth, seconds
 from simbench.errors import DatasetError
 from simbench.mcap import attachments
 from simbench.mcap import messages as m
+from simbench.mcap.container import Container
 from simbench.mcap.provenance import FORMAT_VERSION
 from vislam.arrays import Array, IntArray
+
+#: Topics that have a message for each frame, where they have any.
+PER_FRAME = ("/twist", "/stereo/features", "/point/features", "/estimate/odometry")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -119,42 +117,15 @@ def read_contents(path: Path) -> Contents:
     """The whole records of a file, ours or not.
 
     Raises:
-        DatasetError: it cannot be read, is no MCAP, or is damaged.
+        DatasetError: it cannot be read, is no MCAP, is damaged, or claims more than the limit.
     """
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise DatasetError(f"{path}: cannot be read: {error.strerror or error}.") from error
-    if not data.startswith(MCAP0_MAGIC):
-        raise DatasetError(f"{path}: expected an MCAP file, got one that starts with {data[:8]!r}.")
-    contents = Contents(path=path, finished=data.endswith(MCAP0_MAGIC) and len(data) > 8)
-    reader = StreamReader(
-        io.BytesIO(data[: _end_of_whole_records(data)]), validate_crcs=True, record_size_limit=None
-    )
+    container = Container(path)
+    contents = Contents(path=path, finished=container.finished)
     schemas: dict[int, str] = {}
     topics: dict[int, str] = {}
-    try:
-        for record in reader.records:
-            _take(record, contents, schemas, topics)
-    except EndOfFile as error:
-        if contents.finished:
-            raise DatasetError(f"{path}: the file is damaged: a record lacks its end.") from error
-    except Exception as error:  # whatever a damaged record makes its parser raise
-        raise DatasetError(f"{path}: the file is damaged: {error}.") from error
+    for record in container.records():
+        _take(record, contents, schemas, topics)
     return contents
-
-
-def _end_of_whole_records(data: bytes) -> int:
-    """Where the last record ends of which the file holds every byte."""
-    at = len(MCAP0_MAGIC)
-    while at + 9 <= len(data):
-        opcode, length = struct.unpack_from("<BQ", data, at)
-        if opcode == Opcode.FOOTER and data.endswith(MCAP0_MAGIC):
-            return len(data)
-        if opcode == Opcode.FOOTER or at + 9 + length > len(data):
-            break
-        at += 9 + length
-    return at
 
 
 def _take(
@@ -169,6 +140,8 @@ def _take(
             contents.types[record.topic] = schemas.get(record.schema_id, "")
             contents.messages.setdefault(record.topic, [])
         case Message():
+            if record.channel_id not in topics:
+                raise DatasetError(f"{contents.path}: the file is damaged: a message of no topic.")
             message = (record.log_time, record.data)
             contents.messages[topics[record.channel_id]].append(message)
         case Metadata():
@@ -183,7 +156,9 @@ def _dataset(contents: Contents, metadata: dict[str, str]) -> Dataset:
     epoch_ns = int(metadata["epoch_ns"])
     twists = contents.decoded("/twist")
     features = contents.decoded("/stereo/features") or contents.decoded("/point/features")
-    frames = min(len(twists), len(features)) if features else len(twists)
+    # of its last frame a killed run may have written but a part
+    counts = [len(contents.messages[t]) for t in PER_FRAME if contents.messages.get(t)]
+    frames = min(counts) if twists else 0
     if not frames:
         raise DatasetError(f"{contents.path}: expected frames, but the recording ends before any.")
     truth, true_biases = None, {}
@@ -193,7 +168,7 @@ def _dataset(contents: Contents, metadata: dict[str, str]) -> Dataset:
         landmarks = arrays.pop("landmarks")
         by_frame = {name: array[:frames] for name, array in arrays.items()}
         truth = Truth(landmarks=landmarks, calibration=true_calibration, **by_frame)
-    if not contents.finished:
+    if metadata["finished"] != "true":
         note = f"The recording is unfinished: a run was interrupted after frame {frames - 1}."
         told["notes"] += (note,)
     return Dataset(

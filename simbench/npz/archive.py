@@ -14,12 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simbench.errors import DatasetError
+from simbench.files import size_of
+from simbench.limits import refuse_above_limit
 from vislam.arrays import Array, IntArray
 
-#: The largest drive of the format has 1.3 GB of features.
-MAX_BYTES = 4 << 30
-#: It has 0.9 million coordinates that are not -1.
-MAX_COORDINATES = 40_000_000
+#: What a coordinate that is not -1 takes, in `Sparse` and on the way to `Sightings`.
+BYTES_PER_COORDINATE = 128
+#: What an array that is read whole takes, in its own size: as bytes, and as float64.
+COPIES = 3
 BLOCK_BYTES = 16 << 20
 
 _HEADER_READERS = {
@@ -63,6 +65,12 @@ class Sparse(NamedTuple):
     values: Array
 
 
+def refuse_crowded(where: str, count: int) -> None:
+    """Hold the number of coordinates that are not -1 against the limit."""
+    what = f"{count} coordinates or more other than -1, which says that nothing is seen,"
+    refuse_above_limit(where, what, BYTES_PER_COORDINATE * count)
+
+
 class Archive:
     """An open `.npz`; each reader raises `DatasetError` that names the file and the key."""
 
@@ -70,16 +78,14 @@ class Archive:
         self.path = path
         self._zip = zip_
         self.keys = {name.removesuffix(".npy") for name in zip_.namelist() if name.endswith(".npy")}
-        declared = sum(self._zip.getinfo(f"{key}.npy").file_size for key in self.keys)
-        if declared > MAX_BYTES:
-            raise DatasetError(
-                f"{path}: expected at most {MAX_BYTES >> 30} GB of arrays, but the file declares "
-                f"{declared / (1 << 30):.1f} GB. It is damaged, or no dataset of this format."
-            )
+        sizes = (zip_.getinfo(f"{key}.npy").file_size for key in self.keys)
+        refuse_above_limit(str(path), "the archive, unpacked,", sum(sizes))
 
     def array(self, key: str) -> Array:
         """A whole array of finite numbers, as float64."""
         with self._member(key) as (header, stream):
+            claimed = COPIES * 8 * prod(header.shape)
+            refuse_above_limit(f"{self.path}: {key}", f"an array of {header.shape}", claimed)
             flat = np.frombuffer(stream.read(), header.dtype)
             array = np.array(flat.reshape(header.shape, order=header.order), float, order="C")
         return self._finite(key, array)
@@ -109,10 +115,7 @@ class Archive:
                 values.append(self._finite(key, block[seen].astype(float)))
                 at += len(block)
                 count += len(seen)
-                if count > MAX_COORDINATES:
-                    raise self.error(
-                        key, f"expected -1 where nothing is seen, got over {count} other values"
-                    )
+                refuse_crowded(f"{self.path}: {key}", count)
         flat = np.concatenate([np.empty(0, np.int64), *places])
         return Sparse(
             header.shape,
@@ -168,6 +171,7 @@ def opened(path: Path) -> Iterator[Archive]:
     Raises:
         DatasetError: there is no such file, or it is no whole zip archive.
     """
+    size_of(path)
     try:
         zip_ = zipfile.ZipFile(path)
     except OSError as error:

@@ -18,12 +18,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simbench.errors import DatasetError
+from simbench.files import reason, size_of
 from simbench.limits import refuse_above_limit
 
 Value: TypeAlias = NDArray[Any] | str | None
 
 #: A dict of eight arrays takes two hundred instructions; a list, one for each number.
 MAX_INSTRUCTIONS = 300_000
+#: Of the file in memory: as bytes, and as float64.
+COPIES = 2
 #: Of an array: features have three.
 MAX_AXES = 3
 
@@ -47,14 +50,13 @@ def load_npy_dict(path: Path) -> dict[str, Value]:
             array nor plain container, it is damaged, or it claims more than the limit.
     """
     try:
+        size = size_of(path)
+        refuse_above_limit(str(path), "the file", COPIES * size)
         with path.open("rb") as file:
-            size = file.seek(0, 2)
-            file.seek(0)
-            refuse_above_limit(str(path), "the file", size)
             _skip_header(path, file)
             content = _Machine(path, _Bounded(file, size)).run()
     except OSError as error:
-        raise DatasetError(f"{path}: cannot be read: {error.strerror or error}.") from error
+        raise DatasetError(f"{path}: cannot be read: {reason(error)}.") from error
     content = _plain(content)
     if not isinstance(content, dict):
         raise DatasetError(f"{path}: expected a dict of arrays, got {_kind(content)}.")

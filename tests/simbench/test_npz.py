@@ -14,6 +14,8 @@ from hypothesis import strategies as st
 
 from simbench.dataset import Dataset
 from simbench.errors import DatasetError
+from simbench.limits import limited_to
+from simbench.noise import estimate
 from simbench.npz import archive, dialect_of, read_npz, write_npz
 from simbench.sensors import simulate
 from tests.simbench.scenes import PLAIN, RICH, differences, scene
@@ -162,10 +164,12 @@ def test_a_read_file_is_written_again_to_the_same_bytes(path):
     assert path.with_name("again.npz").read_bytes() == path.read_bytes()
 
 
-def test_a_foreign_file_is_given_the_defaults_and_says_so(path, rich):
+def test_a_foreign_file_is_told_what_its_data_show_and_says_so(path, rich):
     data = read_npz(foreign(path))
-    assert data.noise.sigma_px.tolist() == [2, 2, 2, 2]
-    np.testing.assert_allclose(data.noise.process, np.diag([0.25] * 3 + [0.0025] * 3))
+    found = estimate(rich)
+    assert data.noise.sigma_px.tolist() == [found.sigma_px] * 4
+    sigma_u = np.concatenate([found.velocity, found.angular])
+    np.testing.assert_allclose(data.noise.process, np.diag(sigma_u**2))
     assert data.noise.process_model == "twist"
     assert data.gate == 0.999
     assert not differences(data.prior.T_world_imu, np.eye(4))
@@ -174,7 +178,10 @@ def test_a_foreign_file_is_given_the_defaults_and_says_so(path, rich):
     assert data.calibration.rig.min_disparity_px == 1
     assert data.truth is data.imu is data.origin is None
     assert not differences(data.sightings, rich.sightings)
-    assert any("says nothing of noise: filters are told 2 px, 0.5 m/s" in n for n in data.notes)
+    told = (
+        f"says nothing of noise. As estimated from its data, filters are told {found.sigma_px:.2g}"
+    )
+    assert any(told in note for note in data.notes)
 
 
 def test_noise_told_by_the_caller_overrules_defaults_and_the_file(path):
@@ -235,7 +242,9 @@ def test_times_are_taken_to_whole_nanoseconds(path):
     unix = 1_317_384_506.0 + contents(path)["time_stamps"]
     data = read_npz(foreign(path, time_stamps=unix))
     assert (np.diff(data.times_ns) > 0).all()
-    np.testing.assert_array_equal(data.times_s, np.rint(unix[0] * 1e9) / 1e9)
+    np.testing.assert_array_equal(data.times_s, unix[0])  # floats are further apart there
+    fine = read_npz(foreign(path, time_stamps=contents(path)["time_stamps"] + 1e-10))
+    np.testing.assert_array_equal(fine.times_ns, np.rint(fine.times_s * 1e9))
 
 
 def test_a_rotation_of_few_digits_is_made_exact_and_only_a_change_that_shows_is_noted(path):
@@ -351,16 +360,26 @@ def test_a_header_that_promises_more_than_there_is_allocates_nothing(path):
         read_npz(path)
 
 
-def test_an_archive_that_declares_more_than_the_limit_is_refused_unread(path, monkeypatch):
-    monkeypatch.setattr(archive, "MAX_BYTES", 1 << 16)
-    with pytest.raises(DatasetError, match=r"expected at most 0 GB of arrays, but .* declares"):
+def test_an_archive_that_declares_more_than_the_limit_is_refused_unread(path):
+    with (
+        limited_to(1 << 16),
+        pytest.raises(
+            DatasetError, match=r"the archive, unpacked, takes .* limit of 64 KB.*--limit"
+        ),
+    ):
         read_npz(path)
 
 
-def test_features_that_are_all_seen_beyond_reason_are_refused_as_they_are_read(path, monkeypatch):
-    monkeypatch.setattr(archive, "MAX_COORDINATES", 1000)
-    with pytest.raises(DatasetError, match="features: expected -1 where nothing is seen"):
-        read_npz(foreign(path, features=np.ones((4, M, T))))
+def test_features_that_are_all_seen_beyond_reason_are_refused_as_they_are_read(path):
+    foreign(path, features=np.ones((4, M, T)))
+    with limited_to(800_000), pytest.raises(DatasetError, match="features: 6560 coordinates or"):
+        read_npz(path)
+
+
+def test_frames_beyond_reason_are_refused(path):
+    foreign(path, features=None)
+    with limited_to(40_000), pytest.raises(DatasetError, match="a drive of 41 frames takes"):
+        read_npz(path)
 
 
 @pytest.mark.parametrize(

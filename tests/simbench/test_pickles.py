@@ -207,9 +207,9 @@ def test_other_files_are_refused(tmp_path):
     np.save(tmp_path / "a.npy", np.zeros((3, 4)))
     with pytest.raises(DatasetError, match=r"as np\.save"):
         load_npy_dict(tmp_path / "a.npy")
-    with pytest.raises(DatasetError, match=r"cannot be read: No such file"):
+    with pytest.raises(DatasetError, match=r"expected a file that can be read: No such file"):
         load_npy_dict(tmp_path / "none.npy")
-    with pytest.raises(DatasetError, match=r"cannot be read: Is a directory"):
+    with pytest.raises(DatasetError, match=r"expected a file that can be read: Is a directory"):
         load_npy_dict(tmp_path)
 
 

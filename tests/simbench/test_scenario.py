@@ -278,7 +278,10 @@ def test_all_faults_are_told_at_once_each_with_line_and_key():
         ("trajectory: {kind: file, path: }", "trajectory.path: expected the name of a file"),
         ("trajectory: {kind: file, path: 3}", "trajectory.path: expected text, got 3"),
         ("trajectory: {kind: file, path: no.tum}", "trajectory.path: no.tum: expected a file"),
-        ("trajectory: {kind: file, path: /dev}", "/dev: expected a file, got a directory"),
+        (
+            "trajectory: {kind: file, path: /dev}",
+            "/dev: expected a file that can be read: Is a directory",
+        ),
         ("trajectory: {kind: file, path: a, text: b}", "trajectory.text: expected path or text"),
         ("trajectory: {kind: file, text: 0 0 0 0 0 0 0 1}", "expected at least two poses, got one"),
         ("landmarks: {kind: file, text: 1 2}", "landmarks.text: text:1: expected 3 numbers, got 2"),
@@ -342,10 +345,10 @@ def test_options_set_values_in_their_order_and_make_sections_that_are_not_there(
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (None, "expected a file, but there is none of this name"),
+        (None, "expected a file that can be read: No such file"),
         (b"\xff\xfe\x00", "expected text in UTF-8"),
         (b"\x00\x01", "expected YAML"),
-        (b" " * (16 * 2**20 + 1), "expected at most 16777216 bytes"),
+        (b" " * (32 * 2**20 + 1), "a text of this length takes"),
     ],
 )
 def test_a_file_that_is_no_text_is_refused_by_name(tmp_path, content, message):
@@ -357,7 +360,7 @@ def test_a_file_that_is_no_text_is_refused_by_name(tmp_path, content, message):
 
 
 def test_a_directory_is_refused(tmp_path):
-    with pytest.raises(ScenarioError, match="expected a file, got a directory"):
+    with pytest.raises(ScenarioError, match="expected a file that can be read: Is a directory"):
         load(tmp_path)
 
 
