@@ -7,7 +7,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
-from simbench.campaign.rows import COLUMNS, SERIES, Row
+from simbench.campaign.rows import COLUMNS, CONSISTENCY, IDENTITY, SERIES, Row
 from simbench.errors import DatasetError, InputError
 from simbench.files import read_text, replacing
 
@@ -170,7 +170,7 @@ def _read_parquet(path: Path) -> Iterator[Row]:
 
 
 def _check_columns(path: Path, columns: Iterable[str]) -> None:
-    if missing := set(COLUMNS) - set(columns):
+    if missing := {*IDENTITY, *CONSISTENCY} - set(columns):
         raise DatasetError(
             f"{path}: expected the columns of a campaign's results, {min(missing)} is missing."
         )

@@ -46,6 +46,7 @@ METRICS = (
     "nis_mean_per_dof",
     "accepted",
     "rejected",
+    "rejected_share",
     "skipped_features",
 )
 #: And those that differ, by their names there.

@@ -196,7 +196,7 @@ def test_metrics_of_runs_are_compared(tmp_path):
         (
             "a.csv",
             "x,y\n1,2\n",
-            "expected the columns of a campaign's results, accepted is missing",
+            "expected the columns of a campaign's results, case is missing",
         ),
         ("a.csv", None, "cannot be read as results of a campaign"),
         (
