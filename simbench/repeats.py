@@ -76,9 +76,12 @@ def repeats(
             continue
         pixels = pixels[validity(rig, pixels) == Validity.VALID]
         step = se3.inverse(T_imu_cam) @ se3.exp(-tau * twists[i]) @ T_imu_cam
-        q = se3.apply(step, triangulate(rig, pixels))
+        points = triangulate(rig, pixels)
+        q = se3.apply(step, points)
         front = in_front(q)
-        shift = np.linalg.norm((project(rig, q[front]) - pixels[front])[:, :2], axis=1)
+        shift = np.linalg.norm(
+            (project(rig, q[front]) - project(rig, points[front]))[:, :2], axis=1
+        )
         if len(shift) and np.median(shift) > MOVED_PX:
             repeated[start[i + 1] + b] = True
     return repeated

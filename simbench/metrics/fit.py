@@ -1,7 +1,8 @@
 """Whether the noise that a filter is told explains what it met, said in words."""
 
-#: NIS/dof beyond a factor of two is no chance in any run, nor a method's own small inconsistency.
-LARGE, SMALL = 2.0, 0.5
+#: NIS/dof above is no chance, nor a method's own small inconsistency. Below less is said: what a
+#: real drive is told allows for errors that last, and those leave single innovations small.
+LARGE, SMALL = 2.0, 0.3
 #: A gate that refuses this share, and ten times what it should, met what is not told.
 REFUSED, TIMES = 0.02, 10.0
 
