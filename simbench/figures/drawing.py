@@ -20,6 +20,7 @@ P = ParamSpec("P")
 
 TEXT_WIDTH_IN, COLUMN_WIDTH_IN = 7.16, 3.5  # of a two-column paper
 RASTERIZE_ABOVE = 500  # markers: a vector file with more is slow to open
+LONGEST = 40  # characters of a name
 PROBABILITY = 0.95  # of the bands of NEES and NIS
 
 BLUE, VERMILLION = "#0072B2", "#D55E00"
@@ -68,9 +69,10 @@ _PAGE_COLORS = {
 
 
 def plain(name: str) -> str:
-    """A user's name as text of a picture: no mathematics in it, nothing that cannot be printed."""
+    """A user's name as text of a picture: one short line, no mathematics in it."""
     printable = "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in name)
-    return printable.replace("$", r"\$")
+    short = printable if len(printable) <= LONGEST else f"{printable[: LONGEST - 1]}…"
+    return short.replace("$", r"\$")
 
 
 def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:

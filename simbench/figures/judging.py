@@ -1,6 +1,7 @@
 """Pictures of what judges filters."""
 
 from collections.abc import Mapping
+from itertools import cycle
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -101,14 +102,13 @@ def decay(deviations: Mapping[str, Mapping[float, float]]) -> Figure:
     """
     figure = Figure(figsize=(COLUMN_WIDTH_IN, 2.7), layout="constrained")
     ax = figure.subplots()
-    markers = dict(zip(deviations, "osD^v", strict=False))
-    for name, by_eps in deviations.items():
+    for (name, by_eps), marker in zip(deviations.items(), cycle("osD^v"), strict=False):
         points = np.array([(eps, abs(v)) for eps, v in sorted(by_eps.items()) if v])
         if len(points):
             judge = name == next(iter(deviations))
             ax.plot(
                 *points.T,
-                marker=markers[name],
+                marker=marker,
                 markersize=3.5,
                 color=VERMILLION if judge else GREY,
                 linewidth=1.2 if judge else 0.7,
@@ -135,7 +135,7 @@ def spread(values: Mapping[str, Array], label: str, expected: float | None = Non
     figure = Figure(figsize=(COLUMN_WIDTH_IN, 0.34 * len(values) + 0.75), layout="constrained")
     ax = figure.subplots()
     if expected is not None:
-        ax.axvline(expected, color="k", linewidth=0.7, linestyle=":", label="expected")
+        ax.axvline(expected, color="k", linewidth=0.7, linestyle=":")
     for row, runs in enumerate(values.values()):
         offsets = 0.36 * ((np.arange(len(runs)) * 0.618034) % 1 - 0.5)  # side by side, evenly
         ax.plot(
@@ -167,5 +167,4 @@ def spread(values: Mapping[str, Array], label: str, expected: float | None = Non
     every = np.concatenate(list(values.values()))
     if every.min() > 0 and every.max() > 30 * every.min():
         ax.set_xscale("log")
-    legend(figure)
     return figure

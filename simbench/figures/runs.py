@@ -214,8 +214,8 @@ def nees(runs: Mapping[str, Sequence[RunRecord]]) -> Figure:
     for ax, (name, records) in zip(axes, runs.items(), strict=True):
         values = [v for record in records if (v := pose_nees(record)) is not None]
         times_s = _times(records[0])
-        low, high = chi_square_band(6, PROBABILITY, count=len(values))
-        band(ax, times_s, *(np.full(len(times_s), bound / 6) for bound in (low, high)), BAND)
+        low, high = chi_square_band(np.full(len(times_s), 6), PROBABILITY, count=len(values))
+        band(ax, times_s, low / 6, high / 6, BAND)
         _expected(ax)
         mean = np.mean(values, axis=0) / 6
         ax.plot(times_s, mean, color=BLUE, label=f"mean of {len(values)} runs")

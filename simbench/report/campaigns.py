@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from simbench import figures
 from simbench.errors import InputError
 from simbench.files import read_text
+from simbench.metrics import chi_square_band
 from simbench.report import meaning
 from simbench.report.meaning import command, commands
 from simbench.report.numbers import number
@@ -26,8 +27,6 @@ DRAWN: Mapping[str, tuple[str, float | None]] = {
     "ate_rmse_m": ("absolute error, RMS [m]", None),
     "pose_nees_mean": ("mean pose NEES [-]", 6.0),
 }
-#: What the pairs are compared by, in words.
-COLUMNS = ("scenario", "case", "filter", "runs", "done", "failed", "hung")
 
 
 class _Part(BaseModel):
@@ -59,7 +58,13 @@ class Band(_Part):
     value: Finite
     low: Finite
     high: Finite
+    dof: int
     inside: bool
+
+    def holds(self, bands: int, confidence: float) -> bool:
+        """Whether it lies within its band when so many bands must hold at once (Bonferroni)."""
+        low, high = chi_square_band(self.dof, 1 - (1 - confidence) / bands)
+        return self.inside or bool(low <= self.value * self.dof <= high)
 
 
 class Moments(_Part):
@@ -165,6 +170,7 @@ def _summary(path: Path) -> Summary:
 
 
 def _of_groups(summary: Summary, directory: Path) -> Iterator[Finding]:
+    bands = _bands(summary)
     for group in summary.groups:
         where = _where(group.scenario, group.overrides)
         if group.failure is not None:
@@ -175,7 +181,7 @@ def _of_groups(summary: Summary, directory: Path) -> Iterator[Finding]:
                 commands=(_row(directory, group, group.failure.seed, group.failure.run),),
             )
         for name, band in (("pose NEES at the end", group.nees), ("NIS", group.nis)):
-            if band is not None and not band.inside:
+            if band is not None and not band.holds(bands, summary.confidence):
                 high = band.value > band.high
                 yield Finding(
                     names=(f"{group.filter} in {where}: {name}",),
@@ -184,6 +190,11 @@ def _of_groups(summary: Summary, directory: Path) -> Iterator[Finding]:
                     means=_MEANS[name, high],
                     commands=commands(_worst(directory, group, name, high)),
                 )
+
+
+def _bands(summary: Summary) -> int:
+    """How many statistics have a band."""
+    return sum((g.nees is not None) + (g.nis is not None) for g in summary.groups)
 
 
 _MEANS = {
@@ -226,31 +237,32 @@ def _of_checks(summary: Summary) -> Iterator[Finding]:
 
 
 def _blocks(summary: Summary, directory: Path) -> Iterator[Block]:
+    bands = _bands(summary)
     yield table(
         "Filters",
         (
             "scenario",
+            "swept",
             "filter",
-            "runs",
             "done",
             "diverged",
             "pose NEES / 6",
+            "expected",
             "NIS / dof",
+            "expected",
             "error [m]",
-            "from",
-            "to",
-            "error, median [m]",
+            "±",
         ),
         [
             (
-                _where(g.scenario, g.overrides),
+                g.scenario,
+                _swept(g.overrides),
                 g.filter,
-                g.runs,
                 g.done,
                 None if g.diverged is None else g.diverged.share,
-                _band(g.nees),
-                _band(g.nis),
-                *_moments(g.metrics.get("ate_rmse_m")),
+                *_band(g.nees, bands, summary.confidence),
+                *_band(g.nis, bands, summary.confidence),
+                *_mean(g.metrics.get("ate_rmse_m")),
             )
             for g in summary.groups
         ],
@@ -307,7 +319,8 @@ def _drawn(summary: Summary, directory: Path, scenario: str, case: str) -> Itera
         if arrays:
             yield Picture(
                 figure=figures.spread(arrays, label, expected),
-                caption=f"{_where(scenario, overrides)}: a dot a run, quartiles and median.",
+                caption=f"{_where(scenario, overrides)}: a dot a run, quartiles and median"
+                + ("." if expected is None else "; dotted what a right filter has."),
             )
 
 
@@ -332,19 +345,25 @@ def _float(text: str | None) -> float | None:
     return value if np.isfinite(value) else None
 
 
+def _swept(overrides: Mapping[str, Any]) -> str:
+    return ", ".join(f"{key}={json.dumps(value)}" for key, value in overrides.items())
+
+
 def _where(scenario: str, overrides: Mapping[str, Any]) -> str:
-    changed = ", ".join(f"{key}={json.dumps(value)}" for key, value in overrides.items())
-    return f"{scenario} ({changed})" if changed else scenario
+    return f"{scenario} ({_swept(overrides)})" if overrides else scenario
 
 
-def _band(band: Band | None) -> Cell:
+def _band(band: Band | None, bands: int, confidence: float) -> tuple[Cell | None, str]:
+    """The statistic, and where it lies with `confidence` if there is no other."""
     if band is None:
-        return Cell(text=number(None), key=None)
-    tone: Tone = "good" if band.inside else "bad"
-    return Cell(
-        text=f"{band.value:.2f} ({band.low:.2f} to {band.high:.2f})", key=band.value, tone=tone
-    )
+        return None, ""
+    tone: Tone = "" if band.holds(bands, confidence) else "bad"
+    cell = Cell(text=f"{band.value:.2f}", key=band.value, tone=tone, number=True)
+    return cell, f"{band.low:.2f}\N{EN DASH}{band.high:.2f}"
 
 
-def _moments(of: Moments | None) -> tuple[float | None, ...]:
-    return (None,) * 4 if of is None else (of.mean, of.low, of.high, of.median)
+def _mean(of: Moments | None) -> tuple[float | None, float | None]:
+    """The mean, and half the width of its interval."""
+    if of is None:
+        return None, None
+    return of.mean, None if of.low is None or of.high is None else (of.high - of.low) / 2

@@ -1,6 +1,7 @@
 """Sections on audits and verdicts."""
 
 from collections.abc import Iterator
+from pathlib import Path
 
 from simbench import figures
 from simbench.checks.conformance import CHECKS
@@ -17,19 +18,6 @@ from simbench.report.saved import (
 
 def audit(saved: SavedAudit) -> Section:
     """The section on an audit."""
-    failed = [scene for scene in saved.scenes if not scene.passed]
-    findings = tuple(
-        Finding(
-            names=(scene.name,),
-            found=meaning.finding_text(scene.first),
-            means=meaning.of_audit(scene.first),
-            commands=commands(
-                show_run(saved, saved.run or 0) or command("hunt", "--filter", saved.filter)
-            ),
-        )
-        for scene in failed
-        if scene.first is not None
-    )
     scalars = sum(scene.scalars for scene in saved.scenes)
     verdict = (
         f"No deviation in {scalars} scalars of noise: the covariance that is claimed is that of "
@@ -44,9 +32,22 @@ def audit(saved: SavedAudit) -> Section:
         verdict=verdict,
         again=(_audit_again(saved),),
         facts=_facts(saved),
-        findings=findings,
+        findings=tuple(_audit_findings(saved)),
         blocks=tuple(_audit_blocks(saved)),
     )
+
+
+def _audit_findings(saved: SavedAudit) -> Iterator[Finding]:
+    """The scenes where it failed, those for the same reason together."""
+    groups: dict[str, list[tuple[str, str]]] = {}
+    for scene in saved.scenes:
+        if scene.first is not None:
+            found = meaning.finding_text(scene.first)
+            groups.setdefault(meaning.of_audit(scene.first), []).append((scene.name, found))
+    show = show_run(saved, saved.run or 0) or command("hunt", "--filter", saved.filter)
+    for means, scenes in groups.items():
+        names = tuple(name for name, _ in scenes)
+        yield Finding(names=names, found=scenes[0][1], means=means, commands=(show,))
 
 
 def _audit_blocks(saved: SavedAudit) -> Iterator[Block]:
@@ -82,7 +83,7 @@ def verdict(saved: SavedVerdict) -> Section:
     """The section on a verdict."""
     return Section(
         kind="verdict",
-        title=f"{saved.filter} in {saved.scenario}" if saved.scenario else saved.filter,
+        title=f"{saved.filter} in {Path(saved.scenario).stem}" if saved.scenario else saved.filter,
         passed=saved.passed,
         verdict=saved.conclusion,
         again=(_verdict_again(saved),),
@@ -141,7 +142,7 @@ def _verdict_blocks(saved: SavedVerdict) -> Iterator[Block]:
     }
     if bands:
         yield Picture(
-            figure=figures.within_bands(bands),  # type: ignore[arg-type]
+            figure=figures.within_bands(bands),
             caption="The checks by chance. A right filter lies within the band in all of them at "
             f"once, but for {100 * saved.false_alarm:g} % of such verdicts.",
         )

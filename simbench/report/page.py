@@ -2,6 +2,7 @@
 
 import base64
 import hashlib
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
@@ -17,6 +18,9 @@ from simbench.figures.drawing import COLUMN_WIDTH_IN
 from simbench.report.numbers import number, parts
 from vislam.arrays import Array
 
+#: What a text of JSON may hold and a page may not.
+_NO_TEXT = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\ud800-\udfff\ufffe\uffff]")
+
 Tone: TypeAlias = Literal["", "good", "bad", "note"]
 
 
@@ -30,6 +34,7 @@ class Cell:
         tone: what it says of a filter.
         shade: 0 to 1, how dark it is; None for no shade.
         framed: whether it has a frame.
+        number: whether it is set as one, in a column of numbers.
     """
 
     text: str
@@ -37,6 +42,7 @@ class Cell:
     tone: Tone = ""
     shade: float | None = None
     framed: bool = False
+    number: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -215,6 +221,8 @@ def _cell(value: Any) -> Cell:
 
 
 def _is_number(value: Any) -> bool:
+    if isinstance(value, Cell):
+        return value.number
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
@@ -235,13 +243,14 @@ def html(sections: Sequence[Section]) -> str:
     environment.filters["svg"] = lambda figure: Markup(svg(figure, next(prefixes)))
     script = _template("view.js") + _template("page.js")
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
-    return environment.get_template("report.html.j2").render(
+    page = environment.get_template("report.html.j2").render(
         sections=sections,
         version=__version__,
         style=Markup(_template("report.css")),
         script=Markup(script),
         script_hash=digest,
     )
+    return _NO_TEXT.sub("\N{REPLACEMENT CHARACTER}", page)
 
 
 def _template(name: str) -> str:

@@ -158,7 +158,8 @@ def _thinned(points: Array, most: int) -> Array:
     """At most so many of them, evenly, the first and the last among them."""
     if len(points) <= most:
         return points
-    return points[np.linspace(0, len(points) - 1, most).round().astype(int)]
+    kept: Array = points[np.linspace(0, len(points) - 1, most).round().astype(int)]
+    return kept
 
 
 def _metrics(metrics: Mapping[str, Any]) -> Iterator[Block]:

@@ -3,11 +3,22 @@
 from collections.abc import Iterator
 from typing import Annotated, Any, TypeAlias
 
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from simbench.errors import InputError
 
+
+def _positive(text: str) -> str:
+    if not 0 < float(text) < float("inf"):
+        raise ValueError("expected a positive number")
+    return text
+
+
 Finite: TypeAlias = Annotated[float, Field(allow_inf_nan=False)]
+
+
+#: A number as a key of JSON, which must be text.
+Eps: TypeAlias = Annotated[str, AfterValidator(_positive)]
 
 
 class _Saved(BaseModel):
@@ -56,7 +67,7 @@ class SavedAudit(HowMade):
 
     passed: bool
     first: SavedFinding | None
-    deviations: dict[str, dict[str, Finite | None]]
+    deviations: dict[Eps, dict[str, Finite | None]]
     scenes: list[SavedScene]
     most_scalars: int | None = None
 

@@ -1,3 +1,4 @@
+import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -9,7 +10,17 @@ import pytest
 from scipy import stats
 
 from simbench.errors import InputError, OutputError
-from simbench.figures import consistency, errors, save, trajectories
+from simbench.figures import (
+    consistency,
+    decay,
+    errors,
+    nees,
+    save,
+    spread,
+    svg,
+    trajectories,
+    within_bands,
+)
 from tests.simbench.records import circle, without
 
 
@@ -213,3 +224,63 @@ def test_an_unknown_kind_of_file_is_refused(tmp_path):
 def test_figures_leave_pyplot_and_the_backend_alone():
     code = "import sys, simbench.figures; sys.exit('matplotlib.pyplot' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_a_name_is_text_and_no_mathematics(tmp_path):
+    record = replace(circle(frames=5).record, filter="a$b$\\frac{\n")
+    for figure in (trajectories([record]), consistency(record)):
+        save(figure, tmp_path / "a.png")
+    assert "a$b$" in svg(trajectories([record]), "p-")
+
+
+def test_a_figure_of_a_page_has_the_pages_colours_and_ids_of_its_own():
+    figure = consistency(circle(frames=5).record)
+    text, again = svg(figure, "a-"), svg(consistency(circle(frames=5).record), "a-")
+    assert text == again
+    assert not re.search(r"#[0-9a-f]{6}|http|<\?xml|<metadata", text)
+    assert {"var(--blue)", "var(--shade)", "var(--grey)"} <= set(re.findall(r"var\(--\w+\)", text))
+    ids = re.findall(r'\bid="([^"]*)"', text)
+    assert all(name.startswith("a-") for name in ids)
+    used = re.findall(r'(?:url\(#|xlink:href="#)([^")]*)', text)
+    assert used
+    assert set(used) <= set(ids)
+
+
+def test_nees_side_by_side_is_the_mean_over_runs_within_the_band_of_their_number():
+    planted = [circle(frames=20, seed=k) for k in range(8)]
+    figure = nees({"a": [p.record for p in planted], "b": [planted[0].record]})
+    assert [ax.get_title() for ax in figure.axes] == ["a", "b"]
+    values = [
+        [e @ np.linalg.solve(P, e) for e, P in zip(p.pose_error[1:], p.pose_covariance[1:])]
+        for p in planted
+    ]
+    drawn = lines(figure.axes[0])["mean of 8 runs"].get_ydata()
+    np.testing.assert_allclose(drawn[1:], np.mean(values, axis=0) / 6, rtol=1e-7)
+    low, high = edges(figure.axes[0])
+    np.testing.assert_allclose([low[3], high[3]], stats.chi2.ppf([0.025, 0.975], 48) / 48)
+
+
+def test_statistics_stand_where_they_lie_in_their_bands():
+    figure = within_bands({"in": (1.0, 1.5, 2.0), "out": (1.0, 2.5, 2.0), "far": (0.0, 99.0, 1.0)})
+    (ax,) = figure.axes
+    marks = [line for line in ax.lines if line.get_marker() != "None"]
+    assert [line.get_xdata()[0] for line in marks] == [0.5, 1.5, 2.0]
+    assert [line.get_marker() for line in marks] == ["o", "x", ">"]
+
+
+def test_deviations_are_drawn_in_size_and_zeros_left_out():
+    figure = decay({"block": {1e-3: -2.0, 1e-4: 1.0}, "nis": {1e-3: 0.0, 1e-4: 0.0}})
+    drawn = lines(figure.axes[0])
+    assert set(drawn) == {"block", "eps squared"}
+    np.testing.assert_array_equal(drawn["block"].get_xydata(), [[1e-4, 1.0], [1e-3, 2.0]])
+
+
+def test_a_spread_shows_every_run_and_its_median():
+    values = {"a": np.array([1.0, 2.0, 4.0]), "b": np.array([100.0])}
+    (ax,) = spread(values, "error [m]").axes
+    dots = [line for line in ax.lines if line.get_marker() == "o"]
+    np.testing.assert_array_equal(dots[0].get_xdata(), values["a"])
+    assert [label.get_text() for label in ax.get_yticklabels()] == ["a", "b"]
+    assert ax.get_xscale() == "log"
+    medians = [line.get_xdata()[0] for line in ax.lines if line.get_linewidth() == 1.4]
+    assert medians == [2.0, 100.0]
