@@ -15,7 +15,7 @@ from math import comb
 import numpy as np
 from scipy.special import chdtr, chdtri
 
-from simbench.dataset import Dataset
+from simbench.dataset import Dataset, Sightings
 from simbench.repeats import without_repeats
 from vislam.arrays import Array, IntArray
 from vislam.camera import (
@@ -138,7 +138,7 @@ def white_noise(twists: Array) -> Array:
     if len(twists) < 4 * DIFFERENCES:
         return np.repeat([SIGMA_VELOCITY, SIGMA_ANGULAR], 3)
     left = np.diff(twists, n=DIFFERENCES, axis=0)
-    return _spread(left) / np.sqrt(comb(2 * DIFFERENCES, DIFFERENCES))
+    return np.asarray(_spread(left) / np.sqrt(comb(2 * DIFFERENCES, DIFFERENCES)))
 
 
 def _spread(values: Array) -> Array:
@@ -148,10 +148,11 @@ def _spread(values: Array) -> Array:
 
 def _valid(dataset: Dataset) -> Array:
     """The pixels of all valid sightings, shape (n, 4)."""
-    if dataset.sightings is None:
+    if not isinstance(dataset.sightings, Sightings):
         return np.empty((0, 4))
     pixels = dataset.sightings.pixels
-    return pixels[validity(dataset.calibration.stereo, pixels) == Validity.VALID]
+    usable: Array = pixels[validity(dataset.calibration.stereo, pixels) == Validity.VALID]
+    return usable
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -180,7 +181,8 @@ class _Pairs:
         s = se3.apply(motion, se3.apply(T_imu_cam, triangulate(rig, z))[:, None])[:, 0]
         q = se3.apply(se3.inverse(T_imu_cam), s)
         front = in_front(q)
-        frame, motion, z, z_next, s, q = (a[front] for a in (frame, motion, z, z_next, s, q))
+        frame, motion, z, z_next = frame[front], motion[front], z[front], z_next[front]
+        s, q = s[front], q[front]
         R_cam_imu = T_imu_cam[:3, :3].T
         d_pixels_d_s = d_project_d_point(rig, q) @ R_cam_imu
         through = d_pixels_d_s @ motion[:, :3, :3] @ T_imu_cam[:3, :3]
@@ -197,7 +199,8 @@ class _Pairs:
 def _seen_again(dataset: Dataset, lag: int = LAG) -> tuple[IntArray, Array, Array]:
     """Frame and pixels of valid sightings that have another one `lag` frames later, and that."""
     sightings = dataset.sightings
-    assert sightings is not None
+    if not isinstance(sightings, Sightings):
+        raise TypeError("Expected the sightings of a stereo pair.")
     frame = np.repeat(np.arange(len(dataset)), np.diff(sightings.start))
     valid = validity(dataset.calibration.stereo, sightings.pixels) == Validity.VALID
     frame, pixels = frame[valid], sightings.pixels[valid]

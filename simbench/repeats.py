@@ -14,7 +14,6 @@ from simbench.dataset import Dataset, Sightings
 from vislam.arrays import Array, BoolArray, IntArray
 from vislam.camera import Validity, in_front, project, triangulate, validity
 from vislam.lie import se3
-from vislam.point import PointSensor
 from vislam.types import Calibration
 
 #: In a frame that repeats, the motion predicts that its features moved by more than this.
@@ -29,7 +28,7 @@ def without_repeats(dataset: Dataset) -> Dataset:
     landmark is what the truth calls so.
     """
     sightings = dataset.sightings
-    if sightings is None or dataset.truth or isinstance(dataset.calibration.rig, PointSensor):
+    if dataset.truth is not None or not isinstance(sightings, Sightings):
         return dataset
     twists = np.hstack([dataset.linear_velocity, dataset.angular_velocity])
     repeated = repeats(dataset.calibration, dataset.times_s, twists, sightings)
