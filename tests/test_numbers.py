@@ -12,6 +12,7 @@ from scipy.stats import chi2, norm
 from simbench.filters import resolve
 from simbench.metrics import metrics, nis
 from simbench.npz import read_npz, write_npz
+from simbench.repeats import without_repeats
 from simbench.run import run, task_of
 from simbench.scenario import load
 from simbench.sensors import simulate
