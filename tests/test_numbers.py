@@ -178,7 +178,6 @@ from pathlib import Path
 from simbench.filters import resolve
 from simbench.mcap import record_to
 from simbench.outputs import write_dataset
-from simbench.repeats import without_repeats
 from simbench.run import run
 from simbench.scenario import load
 from simbench.sensors import simulate
