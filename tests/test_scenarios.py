@@ -16,7 +16,7 @@ from vislam.lie import so3
 
 SCENES = Path(__file__).parents[1] / "scenarios"
 #: Those on which code is judged keep the depth rule: sigma_depth / depth at birth at most 5 %.
-OF_CONSISTENCY = ["circle", "corridor", "figure8", "helix", "hover"]
+OF_CONSISTENCY = ["circle", "corridor", "figure8", "helix", "hover", "two_laps"]
 
 
 def data(name, seed=None):
@@ -101,6 +101,24 @@ def test_the_gate_of_outliers_is_what_saves_the_estimate():
     assert 0.05 < gated["rejected"] / (gated["accepted"] + gated["rejected"]) < 0.25
     assert gated["skipped_features"] > 20
     assert cut(dataset) > 5
+
+
+def test_two_laps_meets_its_first_lap_again_after_250_m():
+    dataset = data("two_laps")
+    lap = len(dataset) // 2
+    path = np.linalg.norm(np.diff(dataset.truth.T_world_imu[:, :3, 3], axis=0), axis=1).sum()
+    assert path == pytest.approx(4 * np.pi * 40, rel=1e-3)
+    assert len(np.intersect1d(dataset.frame(0).ids, dataset.frame(lap).ids)) >= 3
+
+
+def test_zhang_has_the_size_that_the_paper_tells():
+    dataset = data("zhang")
+    position = dataset.truth.T_world_imu[:, :3, 3]
+    assert np.ptp(position, axis=0) == pytest.approx([50, 40, 20], rel=0.05)
+    assert (len(dataset), len(dataset.truth.landmarks)) == (501, 300)
+    assert not dataset.prior.pose_covariance.any()
+    assert np.linalg.norm(dataset.sightings.points, axis=1).max() < 20 * 1.05
+    assert len(dataset.sightings) / len(dataset) > 10
 
 
 def test_figure8_noisy_loses_dead_reckoning_and_the_camera_brings_it_back():

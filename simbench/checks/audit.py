@@ -37,6 +37,8 @@ EPS = (1e-2, 1e-3, 1e-4)
 TOLERANCE = 1e-4
 #: Without noise a right filter stands on the truth to rounding, metres and radians.
 STANDSTILL = 1e-8
+#: A variance that errors of rounding alone have, once divided by eps^2: 1e-12 at eps = 1e-4.
+ROUNDING = 1e-16
 #: Runs of one batch: as many as keep the state of a small scene in the processor's cache.
 BATCH = 256
 
@@ -214,7 +216,7 @@ def _claimed(belief: Belief) -> tuple[Array, BoolArray]:
 def _relative(true: Array, claimed: Array, said: BoolArray) -> Array:
     """Difference over the two standard deviations, as claimed, or as true; 0 where not said."""
     variance = np.where(np.diag(claimed) > 0, np.diag(claimed), np.diag(true))
-    sigma = np.sqrt(np.where(variance > 0, variance, 1.0))
+    sigma = np.sqrt(np.where(variance > ROUNDING, variance, 1.0))
     return np.where(said, (true - claimed) / np.outer(sigma, sigma), 0.0)
 
 
