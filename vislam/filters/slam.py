@@ -32,6 +32,7 @@ from vislam.filters.records import (
 )
 from vislam.filters.roster import Retired, slots_of
 from vislam.filters.tape import Tape
+from vislam.gaussian import reuse_freed_memory
 from vislam.types import Belief, Calibration, Frame, Innovation, Noise, Smoothed, Task, Twist
 
 
@@ -121,6 +122,7 @@ class EkfSlam:
         landmark waits outside, where it costs nothing: a landmark that is independent of the state
         takes part in no update before it is sighted.
         """
+        reuse_freed_memory()
         self.calibration, self.noise, self.gate = task.calibration, task.noise, task.gate
         self.parts = parts
         self.records: list[Record] | None = None
@@ -330,7 +332,9 @@ class EkfSlam:
 
     def _retire(self, last: IntArray) -> None:
         """Take landmarks that will not be seen again out of the state."""
-        leaves = np.isin(self.ids, last)
+        leaves = np.zeros(len(self.ids), bool)
+        slots = slots_of(self.ids, last)
+        leaves[slots[slots >= 0]] = True
         if self._retire_after is not None:
             leaves |= self._unseen >= self._retire_after
         if self._past is not None and (self._smooth or not self._kept[leaves].all()):

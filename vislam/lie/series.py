@@ -8,6 +8,11 @@ from vislam.arrays import Array
 
 _SERIES_BELOW = 1.0  # rad; the quotients have lost at most two digits there
 _TERMS = 9  # the first term left out is at most 1 / 18!, 2e-16
+_HIGHEST = 5
+#: Of angle^2i in c_k: (-1)^i / (2i + k)!, by i and k.
+_COEFFICIENTS = np.array(
+    [[(-1) ** i / math.factorial(2 * i + k) for k in range(_HIGHEST + 1)] for i in range(_TERMS)]
+)
 
 
 def stumpff(angle: Array, highest: int) -> list[Array]:
@@ -19,25 +24,26 @@ def stumpff(angle: Array, highest: int) -> list[Array]:
 
     Args:
         angle: radians, not negative, any shape.
-        highest: largest k, at least 1.
+        highest: largest k, from 1 to 5.
     """
     squared = angle * angle
     small = angle < _SERIES_BELOW
     if small.all():
-        return [_sum(squared, k) for k in range(highest + 1)]
+        return _series(squared, highest)
     large = np.where(small, 1.0, angle)
     values = [np.cos(large), np.sin(large) / large]
     for k in range(highest - 1):
         values.append((1 / math.factorial(k) - values[k]) / (large * large))
     if small.any():
         near = np.where(small, squared, 0.0)
-        values = [np.where(small, _sum(near, k), value) for k, value in enumerate(values)]
+        both = zip(_series(near, highest), values, strict=True)
+        values = [np.where(small, series, value) for series, value in both]
     return values
 
 
-def _sum(squared: Array, k: int) -> Array:
-    """The series of c_k by Horner's rule."""
-    total = np.zeros_like(squared)
-    for i in reversed(range(_TERMS)):
-        total = (-1) ** i / math.factorial(2 * i + k) + squared * total
-    return total
+def _series(squared: Array, highest: int) -> list[Array]:
+    """The series of c_0 to c_highest, all by one Horner's rule."""
+    squared, total = squared[..., None], np.zeros((*squared.shape, highest + 1))
+    for coefficients in _COEFFICIENTS[::-1, : highest + 1]:
+        total = coefficients + squared * total
+    return [total[..., k] for k in range(highest + 1)]
