@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from simbench.filters import resolve
-from simbench.metrics import metrics
+from simbench.metrics import metrics, path_length
 from simbench.run import run
 from simbench.scenario import load
 from simbench.sensors import simulate
@@ -154,3 +154,30 @@ def test_drive_has_the_size_and_the_statistics_of_the_real_one():
     assert values["landmarks"] > 4700
     assert values["final_position_error_m"] < 0.05 * values["path_length_m"]
     assert measured(dataset, "dead-reckoning")["ate_rmse_m"] > 2 * values["ate_rmse_m"]
+
+
+@pytest.fixture(scope="module")
+def drive_large():
+    return data("drive_large")
+
+
+def test_drive_large_has_the_size_of_the_longest_real_one(drive_large):
+    sightings, rig = drive_large.sightings, drive_large.calibration.rig
+    assert (rig.fx_px, rig.cx_px, rig.cy_px, rig.baseline_m) == (552.554, 682.049, 238.770, 0.6)
+    assert (len(drive_large), drive_large.gate) == (3026, 0.999)
+    assert np.diff(drive_large.times_s).mean() == pytest.approx(0.1046, abs=1e-3)
+    assert len(np.unique(sightings.ids)) == pytest.approx(13289, rel=0.005)
+    assert path_length(drive_large.truth.T_world_imu) == pytest.approx(2957, rel=0.005)
+    assert 60 < len(sightings) / len(drive_large) < 73
+    frames, track = np.diff(sightings.start), np.unique(sightings.ids, return_counts=True)[1]
+    assert frames.min() > 0
+    assert 8 <= np.median(track) <= 13
+    assert track.min() >= 3
+
+
+@pytest.mark.slow
+def test_the_whole_map_of_drive_large_is_estimated(drive_large):
+    values = measured(drive_large)
+    assert values["landmarks"] > 13_000
+    assert values["final_position_error_m"] < 0.1 * values["path_length_m"]
+    assert measured(drive_large, "dead-reckoning")["ate_rmse_m"] > values["ate_rmse_m"]

@@ -123,15 +123,19 @@ def visible(
 ) -> tuple[IntArray, Array]:
     """Which landmarks a true pose shows, ascending, and their exact pixels, shape (n, 4)."""
     R, p = T_world_imu[:3, :3], T_world_imu[:3, 3]
-    pixels, depth = projected(matrices, (landmarks - p) @ R)
     nearest, farthest = scenario.rig.depth_m
-    ids = np.flatnonzero((nearest <= depth) & (depth <= farthest) & _inside(scenario, pixels))
+    depth = (landmarks - p) @ (R @ matrices[0][2, :3]) + matrices[0][2, 3]
+    ids = np.flatnonzero((nearest <= depth) & (depth <= farthest))
+    pixels, _ = projected(matrices, (landmarks[ids] - p) @ R)
+    inside = _inside(scenario, pixels)
+    ids, pixels = ids[inside], pixels[inside]
     if scenario.camera.walls:
         walls, T_imu_cam = np.array(scenario.camera.walls), scenario.rig.T_imu_cam
         for x in (0.0, scenario.rig.baseline_m):
             eye = R @ (T_imu_cam[:3, :3] @ [x, 0, 0] + T_imu_cam[:3, 3]) + p
-            ids = ids[~hidden(walls, eye, landmarks[ids])]
-    return ids, pixels[ids]
+            in_sight = ~hidden(walls, eye, landmarks[ids])
+            ids, pixels = ids[in_sight], pixels[in_sight]
+    return ids, pixels
 
 
 def _inside(scenario: Scenario, pixels: Array) -> BoolArray:
@@ -181,7 +185,7 @@ def _reported(
     kept = np.ones(len(ids), bool)
     if camera.outliers.share:
         wrong = chance.uniform("camera.outlier", ids, 1)[:, 0] < camera.outliers.share
-        way = chance.normal("camera.outlier.direction", ids, 4)[wrong]
+        way = chance.normal("camera.outlier.direction", ids[wrong], 4)
         pixels[wrong] += camera.outliers.size_px * way / np.linalg.norm(way, axis=1, keepdims=True)
         kept = usable(pixels)
     if camera.half_missing:
