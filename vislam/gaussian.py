@@ -63,8 +63,9 @@ def reuse_freed_memory() -> None:
     """Let glibc's malloc keep the memory of large arrays for the next ones.
 
     Above a threshold it maps each array anew, and the kernel pays for every page of it. The
-    threshold rises to the largest block that was freed, 32 MB at most; nothing is touched here. With
-    60 sightings a frame that takes a fifth of the time away; with other allocators it does nothing.
+    threshold rises to the largest block that was freed, 32 MB at most; nothing is touched here.
+    With 60 sightings a frame that takes a fifth of the time away; with other allocators it does
+    nothing.
     """
     np.empty(31 * 2**17)
 

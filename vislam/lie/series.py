@@ -8,7 +8,7 @@ from vislam.arrays import Array
 
 _SERIES_BELOW = 1.0  # rad; the quotients have lost at most two digits there
 _TERMS = 9  # the first term left out is at most 1 / 18!, 2e-16
-_HIGHEST = 5
+_HIGHEST = 7
 #: Of angle^2i in c_k: (-1)^i / (2i + k)!, by i and k.
 _COEFFICIENTS = np.array(
     [[(-1) ** i / math.factorial(2 * i + k) for k in range(_HIGHEST + 1)] for i in range(_TERMS)]
@@ -24,7 +24,7 @@ def stumpff(angle: Array, highest: int) -> list[Array]:
 
     Args:
         angle: radians, not negative, any shape.
-        highest: largest k, from 1 to 5.
+        highest: largest k, from 1 to 7.
     """
     squared = angle * angle
     small = angle < _SERIES_BELOW
