@@ -56,7 +56,7 @@ def test_a_reading_is_the_landmark_in_the_sensors_frame_with_noise_that_is_a_sha
             homogeneous = np.column_stack([truth.landmarks[frame.ids], np.ones(len(frame.ids))])
             q = (np.linalg.inv(T_world_sensor) @ homogeneous.T).T[:, :3]
             distance = np.linalg.norm(q, axis=1)
-            assert ((0.2 <= distance) & (distance <= 9.0)).all()
+            assert ((distance >= 0.2) & (distance <= 9.0)).all()
             assert (np.rad2deg(np.arccos(q[:, 2] / distance)) <= 100).all()
             z.append((frame.points - q) / np.maximum(0.02 * np.abs(q), 0.03))
     z = np.concatenate(z)
