@@ -54,6 +54,7 @@ LAYERS = [
     "simbench.campaign",
     "simbench.compare",
     "simbench.report",
+    "simbench.gallery",
     "simbench.strategies",
     "simbench.hunt",
     "simbench.pytest_plugin",

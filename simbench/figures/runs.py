@@ -219,8 +219,8 @@ def nees(runs: Mapping[str, Sequence[RunRecord]]) -> Figure:
         _expected(ax)
         mean = np.mean(values, axis=0) / 6
         ax.plot(times_s, mean, color=BLUE, label=f"mean of {len(values)} runs")
-        ax.set(title=plain(name), xlabel="time [s]", yscale="log")
-    axes[0].set_ylabel("pose NEES / 6 [-]")
+        ax.set(title=plain(name), xlabel="time [s]")
+    axes[0].set(ylabel="pose NEES / 6 [-]", ylim=(0, None))
     legend(figure)
     return figure
 

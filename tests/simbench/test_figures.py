@@ -251,7 +251,10 @@ def test_nees_side_by_side_is_the_mean_over_runs_within_the_band_of_their_number
     figure = nees({"a": [p.record for p in planted], "b": [planted[0].record]})
     assert [ax.get_title() for ax in figure.axes] == ["a", "b"]
     values = [
-        [e @ np.linalg.solve(P, e) for e, P in zip(p.pose_error[1:], p.pose_covariance[1:])]
+        [
+            e @ np.linalg.solve(P, e)
+            for e, P in zip(p.pose_error[1:], p.pose_covariance[1:], strict=True)
+        ]
         for p in planted
     ]
     drawn = lines(figure.axes[0])["mean of 8 runs"].get_ydata()
