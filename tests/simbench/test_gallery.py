@@ -25,16 +25,15 @@ def test_the_readme_shows_every_picture_and_each_is_small():
 
 
 def test_a_small_picture_looks_as_the_large_one_does(tmp_path):
-    figure = figures.trajectories([circle().record])
-    figures.save(figure, tmp_path / "large.png")
-    gallery.save(figure, tmp_path / "small.png")
+    for name, save in (("large", figures.save), ("small", gallery.save)):  # a second draw differs
+        save(figures.trajectories([circle().record]), tmp_path / f"{name}.png")
     sizes = [(tmp_path / f"{name}.png").stat().st_size for name in ("small", "large")]
-    assert sizes[0] < 0.6 * sizes[1]
+    assert sizes[0] < 0.5 * sizes[1]
     small, large = (
         np.asarray(Image.open(tmp_path / f"{name}.png").convert("RGB"), float)
         for name in ("small", "large")
     )
-    assert np.abs(small - large).mean() < 2
+    assert np.abs(small - large).mean() < 0.2
 
 
 def test_figure8_shows_the_papers_three_estimators(monkeypatch):
