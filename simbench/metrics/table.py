@@ -36,9 +36,9 @@ def metrics(record: RunRecord) -> Metrics:
         "realtime_factor": duration_s / record.wall_s if record.wall_s > 0 else None,
         "path_length_m": path_length(record.T_world_imu if true is None else true.T_world_imu),
         **_pose_metrics(record),
-        **{f"smoothed_{name}": v for name, v in _pose_metrics(record.as_smoothed).items()},
         **_map_metrics(record),
         **_innovation_metrics(record),
+        **{f"smoothed_{name}": v for name, v in _pose_metrics(record.as_smoothed).items()},
     }
     return {
         k: None if isinstance(v, float) and not np.isfinite(v) else v for k, v in values.items()

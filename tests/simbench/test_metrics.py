@@ -55,6 +55,7 @@ NAMES = [
     "rejected_share",
     "noise_fit",
 ]
+SMOOTHED = [f"smoothed_{name}" for name in NAMES[8:15]]
 
 
 def poses(rng, count, sigma_m=5.0):
@@ -455,7 +456,7 @@ def test_metrics_hold_the_numbers_that_were_planted():
 def test_metrics_always_hold_every_name_and_plain_json(frames, innovations, covariance, truth):
     planted = circle(frames=frames)
     values = metrics(without(planted, truth=truth, covariance=covariance, innovations=innovations))
-    assert list(values) == NAMES
+    assert list(values) == NAMES + SMOOTHED
     assert {type(v) for v in values.values()} <= {str, int, float, type(None)}
     assert json.loads(json.dumps(values, allow_nan=False)) == values
 
@@ -470,7 +471,9 @@ def test_what_a_run_cannot_know_is_null():
     }
 
     def null(record):
-        return {name for name, value in metrics(record).items() if value is None}
+        found = {name for name, value in metrics(record).items() if value is None}
+        assert found >= set(SMOOTHED)  # nobody asked for them
+        return found - set(SMOOTHED)
 
     assert null(planted.record) == set()
     assert null(without(planted, covariance=True)) == {"pose_nees_mean", "landmark_nees_mean"}
