@@ -18,6 +18,7 @@ Conventions, stated once for both packages:
   their ids. (The paper writes the landmarks first; pose first grows at its end.)
 * The twist sample i moves the pose over [t_i, t_i+1); frame i is seen from pose i.
 * Pixels are (uL, vL, uR, vR); all four are -1 where a landmark is not seen.
+* A point sensor stands in place of the left camera, in its frame; NaN where it sees nothing.
 * Metres, seconds, radians, pixels; another unit stands in the name.
 * Arrays may carry leading batch axes where a shape is given as (..., n).
 """

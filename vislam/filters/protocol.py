@@ -24,7 +24,10 @@ class Filter(Protocol):
         """Move the belief over `dt` seconds."""
 
     def update(self, frame: StereoFrame) -> Innovation | None:
-        """Take in a frame; None where the filter has no use for one."""
+        """Take in a frame; None where the filter has no use for one.
+
+        Of a scene with a point sensor the frames are `vislam.types.PointFrame`s.
+        """
 
     def belief(self, joint: bool = False) -> Belief:
         """Pose and the landmarks still in the state; with `joint` the whole covariance."""
