@@ -11,11 +11,18 @@ import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
+from dataclasses import fields, is_dataclass
+
+import numpy as np
 
 from simbench.errors import DatasetError, InputError
+from vislam.arrays import Array
 
 #: Half as much again as the features of the largest drive that is known.
 DEFAULT_BYTES = 2 * 2**30
+
+#: Numbers of data beyond this are damage: what is computed from them overflows.
+LARGEST = 1e20
 
 _UNITS = {"": 1, "K": 2**10, "M": 2**20, "G": 2**30, "T": 2**40}
 _limit_bytes = ContextVar("limit_bytes", default=DEFAULT_BYTES)
@@ -40,7 +47,7 @@ def refuse_above_limit(where: str, what: str, n_bytes: int) -> None:
     """Hold a claim against the limit, before anything is allocated.
 
     Args:
-        where: the file, and the key or line in it.
+        where: the file or scene, and the key or line in it.
         what: what claims, such as "an array of shape (4, 10)".
         n_bytes: how much memory it takes, or would take.
 
@@ -50,9 +57,43 @@ def refuse_above_limit(where: str, what: str, n_bytes: int) -> None:
     if n_bytes > limit_bytes():
         raise DatasetError(
             f"{where}: {what} takes {format_size(n_bytes)}, above the limit of "
-            f"{format_size(limit_bytes())}. Is the file damaged or of another kind? If it is "
-            "right, raise the limit with --limit SIZE."
+            f"{format_size(limit_bytes())}. If that is meant, and no damage, raise the limit with "
+            "--limit SIZE."
         )
+
+
+def unsound(array: Array) -> str | None:
+    """What was expected and what came, of the first number that nothing can be computed with."""
+    sound = np.abs(array) <= LARGEST  # not so of NaN
+    if np.all(sound):
+        return None
+    at = np.argwhere(~sound)[0].tolist()
+    place = f" at {at}" if len(at) > 1 else ""
+    value = array[tuple(at)]
+    expected = f"numbers up to {LARGEST:g}" if np.isfinite(value) else "finite numbers"
+    return f"expected {expected}, got {value}{place}"
+
+
+def beyond(value: object, name: str) -> str | None:
+    """The dotted name of the first number in a dataclass that nothing can be computed with.
+
+    Args:
+        value: a dataclass, an array or a number; all else is passed over. NaN stands for a reading
+            that is missing, and is allowed in fields called `points`.
+        name: of the value.
+
+    Returns:
+        None where all are finite and no larger than `LARGEST`.
+    """
+    if is_dataclass(value):
+        inner = (beyond(getattr(value, f.name), f"{name}.{f.name}") for f in fields(value))
+        return next(filter(None, inner), None)
+    if isinstance(value, float) or (isinstance(value, np.ndarray) and value.dtype.kind == "f"):
+        sound = np.abs(value) <= LARGEST
+        if name.endswith(".points"):
+            sound |= np.isnan(value)
+        return None if np.all(sound) else name
+    return None
 
 
 def parse_size(text: str) -> int:

@@ -7,6 +7,7 @@ from pathlib import Path
 from simbench.conventions import CameraAxes, Extrinsics, ImuFrame, Overruled
 from simbench.dataset import Dataset
 from simbench.errors import DatasetError, InputError
+from simbench.files import size_of
 
 
 class Kind(StrEnum):
@@ -62,6 +63,7 @@ def kind_of(path: Path) -> Kind:
     Raises:
         InputError: there is no such file.
     """
+    size_of(path)
     try:
         with path.open("rb") as stream:
             head = stream.read(8)

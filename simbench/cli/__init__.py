@@ -53,6 +53,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except click.ClickException as error:
         error.show()
         return WRONG_INPUT
+    except MemoryError:
+        return _failed(
+            WRONG_INPUT, "Not enough memory for this; take less data or fewer processes."
+        )
     except Exception as error:
         if "--debug" in arguments:
             traceback.print_exc()

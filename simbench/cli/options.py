@@ -54,6 +54,22 @@ SEED = click.IntRange(0, 2**63 - 1)
 OUT = click.option(
     "--out", type=click.Path(path_type=Path), default=Path("out"), help="Where files go."
 )
+
+
+def _raise_limit(context: click.Context, _: click.Parameter, n_bytes: int | None) -> None:
+    if n_bytes is not None:
+        from simbench.limits import limited_to
+
+        context.with_resource(limited_to(n_bytes))
+
+
+LIMIT = click.option(
+    "--limit",
+    type=Size(),
+    callback=_raise_limit,
+    expose_value=False,
+    help="What a file may claim of memory, default 2GB.",
+)
 JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON value alone.")
 DEBUG = click.option("--debug", is_flag=True, expose_value=False, help="Show tracebacks.")
 SCENE = (
@@ -98,7 +114,7 @@ def options(*options: Callable[..., Any]) -> Callable[..., Any]:
     """Decorate a verb with options, in the order given."""
 
     def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
-        for option in reversed((*options, JSON, DEBUG)):
+        for option in reversed((*options, LIMIT, JSON, DEBUG)):
             function = option(function)
         return function
 

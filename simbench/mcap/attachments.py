@@ -2,13 +2,16 @@
 
 import io
 import json
+import zipfile
 from collections.abc import Mapping
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from simbench.dataset import Dataset, Truth
+from simbench.npz.archive import Archive
 from vislam.arrays import Array
 from vislam.camera import StereoRig
 from vislam.point import PointSensor
@@ -92,10 +95,11 @@ def dump_truth(dataset: Dataset, truth: Truth) -> bytes:
     return file.getvalue()
 
 
-def load_truth(data: bytes) -> dict[str, Array]:
-    """The arrays of ``truth.npz``."""
-    with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
-        return dict(arrays)
+def load_truth(path: Path, data: bytes) -> dict[str, Array]:
+    """The arrays of ``truth.npz`` in a recording, whose path is for errors."""
+    with zipfile.ZipFile(io.BytesIO(data)) as zip_:
+        archive = Archive(path, zip_)
+        return {key: archive.array(key) for key in sorted(archive.keys)}
 
 
 def dump_metrics(metrics: Mapping[str, Any]) -> bytes:

@@ -8,10 +8,12 @@ from mcap.records import Attachment, Channel, McapRecord, Message, Metadata, Sch
 
 from simbench.dataset import Dataset, Origin, PointSightings, RawImu, Sightings, Truth, seconds
 from simbench.errors import DatasetError
+from simbench.files import file_safe
 from simbench.mcap import attachments
 from simbench.mcap import messages as m
 from simbench.mcap.container import Container
 from simbench.mcap.provenance import FORMAT_VERSION
+from simbench.mcap.soundness import refuse_unsound
 from vislam.arrays import Array, IntArray
 
 #: Topics that have a message for each frame, where they have any.
@@ -86,7 +88,9 @@ def dataset_of(contents: "Contents") -> Dataset:
             "read it with that version."
         )
     try:
-        return _dataset(contents, metadata)
+        dataset = _dataset(contents, metadata)
+        refuse_unsound(path, dataset)
+        return dataset
     except DatasetError:
         raise
     except Exception as error:  # whatever a damaged message or attachment makes its parser raise
@@ -163,7 +167,7 @@ def _dataset(contents: Contents, metadata: dict[str, str]) -> Dataset:
         raise DatasetError(f"{contents.path}: expected frames, but the recording ends before any.")
     truth, true_biases = None, {}
     if "truth.npz" in contents.attachments:
-        arrays = attachments.load_truth(contents.attachments["truth.npz"])
+        arrays = attachments.load_truth(contents.path, contents.attachments["truth.npz"])
         true_biases = {name: arrays.pop(name, None) for name in attachments.TRUTH_OF_IMU}
         landmarks = arrays.pop("landmarks")
         by_frame = {name: array[:frames] for name, array in arrays.items()}
@@ -172,7 +176,7 @@ def _dataset(contents: Contents, metadata: dict[str, str]) -> Dataset:
         note = f"The recording is unfinished: a run was interrupted after frame {frames - 1}."
         told["notes"] += (note,)
     return Dataset(
-        name=metadata["scenario"],
+        name=file_safe(metadata["scenario"]) or "recording",
         times_s=seconds(contents.times_ns("/twist", epoch_ns)[:frames]),
         linear_velocity=_vectors([t.twist.twist.linear for t in twists[:frames]]),
         angular_velocity=_vectors([t.twist.twist.angular for t in twists[:frames]]),

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from simbench.errors import DatasetError
 from simbench.files import size_of
-from simbench.limits import refuse_above_limit
+from simbench.limits import refuse_above_limit, unsound
 from vislam.arrays import Array, IntArray
 
 #: What a coordinate that is not -1 takes, in `Sparse` and on the way to `Sightings`.
@@ -128,12 +128,8 @@ class Archive:
         return DatasetError(f"{self.path}: {key}: {what}.")
 
     def _finite(self, key: str, array: Array) -> Array:
-        if not np.isfinite(array).all():
-            where = np.argwhere(~np.isfinite(array))[0].tolist()
-            place = f" at {where}" if where and array.ndim > 1 else ""
-            raise self.error(
-                key, f"expected finite numbers, got {array[~np.isfinite(array)][0]}{place}"
-            )
+        if (what := unsound(array)) is not None:
+            raise self.error(key, what)
         return array
 
     @contextmanager

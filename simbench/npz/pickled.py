@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from simbench.conventions import Meaning
 from simbench.dataset import Sightings
 from simbench.errors import DatasetError
-from simbench.limits import refuse_above_limit
+from simbench.limits import refuse_above_limit, unsound
 from simbench.npz.archive import BYTES_PER_COORDINATE, Sparse
 from simbench.npz.pickles import Value, load_npy_dict
 from simbench.npz.values import Source, rigid
@@ -34,10 +34,8 @@ class Pickled:
     def array(self, key: str) -> Array:
         """A whole array of finite numbers, as float64."""
         array = np.array(self._numbers(key), float, order="C")
-        if not np.isfinite(array).all():
-            raise self.error(
-                key, f"expected finite numbers, got {array[~np.isfinite(array)].flat[0]}"
-            )
+        if (what := unsound(array)) is not None:
+            raise self.error(key, what)
         # of the times both (T,) and (T, 1) are said
         return array.ravel() if key == "timestamps" else array
 
@@ -63,8 +61,8 @@ class Pickled:
         refuse_above_limit(f"{self.path}: {key}", what, count * BYTES_PER_COORDINATE)
         places = np.nonzero(dense != -1)
         values = dense[places].astype(float)
-        if not np.isfinite(values).all():
-            raise self.error(key, f"expected finite numbers, got {values[~np.isfinite(values)][0]}")
+        if (wrong := unsound(values)) is not None:
+            raise self.error(key, wrong)
         return Sparse(dense.shape, places, values)
 
     def error(self, key: str, what: str) -> DatasetError:

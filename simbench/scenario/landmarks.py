@@ -10,7 +10,8 @@ import numpy as np
 from pydantic import Field, field_validator
 
 from simbench.errors import DatasetError
-from simbench.files import format_rows, parse_rows, read_text
+from simbench.files import format_rows, parse_rows, read_text, size_of
+from simbench.limits import refuse_above_limit
 from simbench.scenario.named import Named
 from simbench.scenario.values import (
     Count,
@@ -25,6 +26,8 @@ from simbench.scenario.values import (
 )
 from vislam.arrays import Array
 
+#: What a byte of an array of landmarks takes as text, and while that is read.
+BYTES_PER_LANDMARK = 128
 #: A point, or `path`: the middle of the box that holds the path.
 Center: TypeAlias = WordOr[Literal["path"], Point]
 
@@ -106,8 +109,7 @@ class LandmarkFile(Named):
 
 
 def _load_npy(path: Path) -> Array:
-    if not path.is_file():
-        raise DatasetError(f"{path}: expected a file, but there is none of this name.")
+    refuse_above_limit(str(path), "text of these landmarks", BYTES_PER_LANDMARK * size_of(path))
     try:
         # Mapped: a header that promises more than the file holds is refused, not allocated.
         points = np.array(np.load(path, mmap_mode="r", allow_pickle=False), float)

@@ -15,6 +15,9 @@ from simbench.scenario.text import Document, Location, key_of, parse
 
 _Model = TypeVar("_Model", bound=BaseModel)
 
+#: More help nobody, and to say what is meant by each takes time.
+MAX_FAULTS = 100
+
 
 def load(path: Path | str, overrides: Sequence[str] = ()) -> Scenario:
     """Read a scene file.
@@ -101,7 +104,10 @@ def validated(
     try:
         found = model.model_validate(defaults | document.data, context=context)
     except ValidationError as error:
-        faults += [fault_of(each, document, model) for each in error.errors(include_url=False)]
+        shown = error.errors(include_url=False)[:MAX_FAULTS]
+        faults += [fault_of(each, document, model) for each in shown]
+    if len(faults) >= MAX_FAULTS:
+        faults[MAX_FAULTS:] = [Fault(document.where, "", "and more; mend these first")]
     if faults:
         raise ScenarioError(tuple(faults))
     return found

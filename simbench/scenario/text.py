@@ -17,6 +17,7 @@ Location: TypeAlias = tuple[str | int, ...]
 
 MAX_NODES = 100_000
 MAX_DEPTH = 20
+MAX_KEY_LENGTH = 100
 
 _TAG = "tag:yaml.org,2002:"
 _SCALARS = {
@@ -119,11 +120,18 @@ def parse(text: str, where: str) -> Document:
 
 def _bound(text: str) -> None:
     """Refuse what would take long or go deep, before it is built."""
+    if (directive := re.search(r"^%", text, re.MULTILINE)) is not None:
+        line = text.count("\n", 0, directive.start())  # of many, libyaml compares each with each
+        mark: Any = yaml.Mark("", 0, line, 0, None, 0)
+        raise yaml.MarkedYAMLError(
+            problem="a line that begins with % is not allowed, scenes need no directive",
+            problem_mark=mark,
+        )
     depth = 0
     for count, event in enumerate(yaml.parse(text, Loader=_Loader)):
         depth += isinstance(event, yaml.CollectionStartEvent)
         depth -= isinstance(event, yaml.CollectionEndEvent)
-        mark: Any = event.start_mark
+        mark = event.start_mark
         if isinstance(event, yaml.AliasEvent):
             raise yaml.MarkedYAMLError(
                 problem=f"the alias *{event.anchor} is not allowed, write the value out",
@@ -149,6 +157,10 @@ def _construct(node: yaml.Node, location: Location, document: Document) -> Any:
         for key_node, value_node in node.value:
             line = key_node.start_mark.line + 1
             key = key_node.value if isinstance(key_node, yaml.ScalarNode) else None
+            if isinstance(key, str) and len(key) > MAX_KEY_LENGTH:
+                fault = f"expected a key, got a text of {len(key)} characters"
+                document.faults.append(Fault(f"{document.where}:{line}", key_of(location), fault))
+                continue
             if not isinstance(key, str):
                 fault = "expected a word as key, got a list or a mapping"
                 document.faults.append(Fault(f"{document.where}:{line}", key_of(location), fault))

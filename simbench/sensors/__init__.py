@@ -5,6 +5,7 @@ import numpy as np
 from simbench import __version__, landmarks, trajectory
 from simbench.dataset import Dataset, Origin, PointSightings, Sightings, Truth
 from simbench.errors import InputError
+from simbench.limits import LARGEST, beyond, refuse_above_limit
 from simbench.rng import stream
 from simbench.scenario import Scenario
 from simbench.sensors import camera, inertial, point
@@ -16,7 +17,11 @@ from vislam.types import Belief, Calibration
 
 __all__ = ["seen_from", "simulate"]
 
+#: While it is made: its true motion, pose and noise.
+BYTES_PER_RAW_SAMPLE = 1024
 
+
+@np.errstate(over="ignore", invalid="ignore")  # such numbers are refused at the end
 def simulate(scenario: Scenario, seed: int | None = None, run: int = 0) -> Dataset:
     """Simulate a scene.
 
@@ -26,11 +31,13 @@ def simulate(scenario: Scenario, seed: int | None = None, run: int = 0) -> Datas
         run: its number; runs of one seed share the scene, and differ in all noise.
 
     Raises:
-        InputError: no landmark is ever seen.
+        InputError: no landmark is ever seen, the data would take more than the limit, or numbers
+            of the scene are beyond what can be computed with.
     """
     seed = scenario.seed if seed is None else seed
     drive = trajectory.make(scenario, seed)
     points = landmarks.make(scenario, drive, seed)
+    _refuse_too_large(scenario, len(points))
     times_s = frame_times(scenario, seed, run)
     Ts_world_imu = drive.T_world_imu(times_s)
     true = inertial.true_twists(scenario, drive, times_s)
@@ -42,7 +49,7 @@ def simulate(scenario: Scenario, seed: int | None = None, run: int = 0) -> Datas
         sightings = point.sightings(scenario, scenario.point, seed, run, Ts_world_imu, points)
     if not len(sightings):
         raise InputError(_nothing_seen(scenario, len(points)))
-    return Dataset(
+    dataset = Dataset(
         name=scenario.name,
         times_s=times_s,
         linear_velocity=measured[:, :3],
@@ -63,6 +70,12 @@ def simulate(scenario: Scenario, seed: int | None = None, run: int = 0) -> Datas
         ),
         origin=Origin(scenario_yaml=scenario.to_yaml(), seed=seed, run=run, version=__version__),
     )
+    if (name := beyond(dataset, "dataset")) is not None:
+        raise InputError(
+            f"{scenario.name}: its numbers are too large or too small to compute with: "
+            f"what becomes of {name} is not finite, or above {LARGEST:g}."
+        )
+    return dataset
 
 
 def seen_from(calibration: Calibration, p_imu: Array) -> Array:
@@ -85,6 +98,17 @@ def _nothing_seen(scenario: Scenario, landmarks: int) -> str:
         f"{none} depth_m {list(scenario.rig.depth_m)} and in both images, in front of the walls; "
         "move landmarks to the path, widen rig.depth_m, or look at rig.imu_cam and camera."
     )
+
+
+def _refuse_too_large(scenario: Scenario, count: int) -> None:
+    """Hold what a scene asks for against the limit, before it is made."""
+    frames = round(scenario.duration_s * scenario.rate_hz) + 1
+    what = f"a scene of {count} landmarks and {frames} frames, as a dense array of features,"
+    refuse_above_limit(scenario.name, what, 4 * 8 * count * frames)
+    if (raw := scenario.imu.raw) is not None:
+        samples = scenario.duration_s * raw.rate_hz
+        what = f"a raw IMU of {samples:.4g} samples"
+        refuse_above_limit(scenario.name, what, int(BYTES_PER_RAW_SAMPLE * samples))
 
 
 def frame_times(scenario: Scenario, seed: int, run: int) -> Array:
