@@ -44,7 +44,8 @@ def trajectories(records: Sequence[RunRecord]) -> Figure:
     width = TEXT_WIDTH_IN if columns > 1 else COLUMN_WIDTH_IN
     shape = float(np.clip((high - low)[1] / (high - low)[0], 0.4, 1.5))
     panel = (width - 0.5) / columns - 0.1  # what labels leave of the width
-    size = width, rows * (shape * panel + 0.55) + 0.4
+    legend_height = 0.4 if columns > 1 else 0.6  # one line, two lines
+    size = width, rows * (shape * panel + 0.55) + legend_height
     figure = Figure(figsize=size, layout="constrained")
     axes = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
     for ax, record in zip(axes.flat, records, strict=False):

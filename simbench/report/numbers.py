@@ -17,12 +17,13 @@ def number(value: Any) -> str:
         return str(value).replace("-", MINUS)
     if not isinstance(value, float):
         return str(value)
-    if value != 0 and abs(value) < float("inf") and not 1e-3 <= abs(value) < 1e5:
-        mantissa, _, exponent = f"{value:.3e}".partition("e")
+    rounded = float(f"{value:.4g}")
+    if rounded != 0 and abs(rounded) < float("inf") and not 1e-3 <= abs(rounded) < 1e6:
+        mantissa, _, exponent = f"{rounded:.3e}".partition("e")
         mantissa = mantissa.rstrip("0").rstrip(".")
         text = f"{mantissa}×10{str(int(exponent)).translate(_SUPERSCRIPT)}"
     else:
-        text = f"{value:.4g}"
+        text = f"{rounded:.0f}" if abs(rounded) >= 1e4 else f"{rounded:.4g}"
     return text.replace("-", MINUS)
 
 

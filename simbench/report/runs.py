@@ -40,8 +40,14 @@ METRICS: Mapping[str, tuple[str, str, str]] = {
     "landmark_nees_mean": ("the same of the landmarks at the end", "", "3 over many runs"),
     "landmark_rmse_m": ("error of the landmarks at the end, RMS", "m", ""),
     "nis_mean_per_dof": ("squared innovation over its covariance, per degree", "", "1"),
+    "smoothed_ate_rmse_m": ("smoothed: absolute error, not aligned, RMS", "m", ""),
+    "smoothed_ate_rmse_aligned_m": ("smoothed: after the best rigid motion", "m", ""),
+    "smoothed_rpe_trans_rmse_m": ("smoothed: from frame to frame, RMS", "m", ""),
+    "smoothed_rpe_rot_rmse_deg": ("smoothed: the same of the rotation", "°", ""),
+    "smoothed_pose_nees_mean": ("smoothed: NEES of the pose, mean", "", "6 over many runs"),
     "accepted": ("sightings that were used", "", ""),
     "rejected": ("sightings that were refused", "", ""),
+    "rejected_share": ("the share of those that were tested", "", "1 less the gate"),
     "skipped_features": ("invalid features that were met", "", ""),
 }
 
@@ -58,7 +64,7 @@ def recording(path: Path, more: Mapping[str, Any] | None = None) -> Section:
     metrics = dict(more or found.metrics)
     return Section(
         kind="run",
-        title=f"{record.dataset.name}, {record.filter}",
+        title=f"{metrics.get('source', record.dataset.name)}, {record.filter}",
         passed=None,
         verdict=_headline(metrics, finished=bool(found.metrics)),
         again=(command("run", str(path), "--filter", record.filter),),
@@ -94,6 +100,8 @@ def _headline(metrics: Mapping[str, Any], *, finished: bool) -> str:
         parts.append(f"Mean NEES of the pose {number(nees)}, where a right filter has 6.")
     if (nis := metrics.get("nis_mean_per_dof")) is not None:
         parts.append(f"NIS {number(nis)} per degree of freedom, where it has 1.")
+    if (fit := metrics.get("noise_fit")) is not None:
+        parts.append(str(fit))
     return " ".join(parts) or "There is no truth and no innovation to measure by."
 
 
@@ -163,10 +171,12 @@ def _thinned(points: Array, most: int) -> Array:
 
 
 def _metrics(metrics: Mapping[str, Any]) -> Iterator[Block]:
+    known = [name for name in METRICS if name in metrics]
     rows = [
-        (METRICS[name][0], metrics[name], *METRICS[name][1:], name)
-        for name in METRICS
-        if metrics.get(name) is not None
+        (about, metrics[name], unit, expected, name)
+        for name in dict.fromkeys([*known, *metrics])
+        if isinstance(metrics[name], int | float)
+        for about, unit, expected in [METRICS.get(name, ("", "", ""))]
     ]
     yield table("Measured", ("what", "value", "unit", "a right filter has", "name"), rows)
 

@@ -73,6 +73,24 @@ def test_every_column_of_trajectories_has_its_axis_label(runs):
     assert sum(ax.get_xlabel() == "x [m]" for ax in figure.axes) == min(runs, 3)
 
 
+@pytest.mark.parametrize("runs", [1, 2, 3, 4])
+@pytest.mark.parametrize("stretch", [0.2, 1, 5])
+def test_nothing_of_trajectories_lies_beyond_the_edge(runs, stretch):
+    record = circle().record
+    for T in (
+        record.dataset.truth.T_world_imu,
+        *(step.belief.T_world_imu for step in record.steps),
+    ):
+        T[..., 1, 3] *= stretch
+    record.dataset.truth.landmarks[:, 1] *= stretch
+    figure = trajectories([record] * runs)
+    figure.draw_without_rendering()
+    for ax in figure.axes:
+        box = ax.get_tightbbox().transformed(figure.transFigure.inverted())
+        assert -0.01 < box.x0 < box.x1 < 1.01
+        assert -0.01 < box.y0 < box.y1 < 1.01
+
+
 def test_the_title_of_a_trajectory_tells_its_error():
     record = circle().record
     distance = record.T_world_imu[:, :3, 3] - record.dataset.truth.T_world_imu[:, :3, 3]
