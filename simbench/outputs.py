@@ -101,8 +101,8 @@ def filter_of(source: Path) -> str:
     return name
 
 
-def options_of(source: Path) -> RunOptions:
-    """The options that a recording was made with, so that the run is repeated; else the defaults.
+def options_of(source: Path) -> RunOptions | None:
+    """The options that a recording was made with, so that the run is repeated; None without any.
 
     Raises:
         InputError: the recording cannot be read, or its options are none.
@@ -113,8 +113,10 @@ def options_of(source: Path) -> RunOptions:
     from simbench.source import Kind, kind_of
 
     if kind_of(source) is not Kind.RECORDING:
-        return RunOptions()
+        return None
     text = summary(source).metadata.get("options", "{}")
+    if text == "{}":
+        return None
     try:
         return TypeAdapter(RunOptions).validate_json(text)
     except ValidationError as error:

@@ -39,11 +39,13 @@ class RunOptions:
         memory_bytes: what a filter's backward pass may hold in memory (`Task.memory_bytes`).
         retire_after: feeds the data as a stream, which does not know its last sightings: a landmark
             leaves the filter after so many frames without one. None to say what is known.
+        inverse_depth: whether landmarks move along their inverse depth (`Task.inverse_depth`).
     """
 
     smooth: bool = False
     memory_bytes: int = MEMORY_BYTES
     retire_after: int | None = None
+    inverse_depth: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -112,6 +114,7 @@ def task_of(dataset: Dataset, options: RunOptions = RunOptions()) -> Task:
         trajectory=None if dataset.truth is None else dataset.truth.T_world_imu,
         memory_bytes=options.memory_bytes,
         retire_after=options.retire_after,
+        inverse_depth=options.inverse_depth,
         smooth=options.smooth,
         rng=stream(origin.seed if origin else 0, origin.run if origin else 0, "filter"),
     )

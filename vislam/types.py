@@ -389,6 +389,8 @@ class Task:
         retire_after: frames without a sighting after which a landmark leaves the state, on a stream
             that does not know the last ones; a later sighting starts a new landmark. None for
             never.
+        inverse_depth: whether landmarks move along their inverse depth, which keeps far ones
+            consistent (`vislam.filters.inverse_depth`).
         smooth: whether the past poses are wanted at the end, from a filter that can give them.
         rng: for a filter that needs chance.
     """
@@ -400,5 +402,6 @@ class Task:
     trajectory: Array | None = None
     memory_bytes: int = MEMORY_BYTES
     retire_after: int | None = None
+    inverse_depth: bool = False
     smooth: bool = False
     rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))

@@ -107,6 +107,11 @@ PAST = (
         metavar="FRAMES",
         help="Feed the data as a stream: no last sighting is known.",
     ),
+    click.option(
+        "--landmarks",
+        type=click.Choice(["cartesian", "inverse-depth"]),
+        help="How they move; default cartesian, of a real drive inverse-depth.",
+    ),
 )
 
 

@@ -44,6 +44,7 @@ def run(
     smooth: bool,
     memory: int | None,
     retire_after: int | None,
+    landmarks: str | None,
     out: Path,
     as_json: bool,
     **told: Any,
@@ -61,14 +62,16 @@ def run(
     from simbench.run import run as run_filter
 
     factories = {name: resolve(name) for name in names or (filter_of(source),)}
-    recorded = options_of(source)
+    opened = open_dataset(source, told)
+    dataset = without_repeats(opened)
+    # far landmarks are what a real drive has most of, and no scene is drawn to suit them
+    recorded = options_of(source) or RunOptions(inverse_depth=dataset.truth is None)
     asked = RunOptions(
         smooth=smooth or recorded.smooth,
         memory_bytes=memory or recorded.memory_bytes,
         retire_after=retire_after or recorded.retire_after,
+        inverse_depth=landmarks == "inverse-depth" if landmarks else recorded.inverse_depth,
     )
-    opened = open_dataset(source, told)
-    dataset = without_repeats(opened)
     for note in dataset.notes[len(opened.notes) :]:
         click.echo(note, err=True)
     records: list[RunRecord] = []

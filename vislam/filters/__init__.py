@@ -1,13 +1,13 @@
 """The estimators of the paper, and variants, behind one protocol (`Filter`)."""
 
-from vislam.filters.consistent import slam_fej, slam_transport
+from vislam.filters.consistent import slam_fej, slam_inverse_depth, slam_transport
 from vislam.filters.dead_reckoning import DeadReckoning
 from vislam.filters.invariant import slam_invariant
-from vislam.filters.inverse_depth import slam_inverse_depth
 from vislam.filters.iterated import slam_iterated
 from vislam.filters.mapping import Mapping
+from vislam.filters.parts import Parts
 from vislam.filters.protocol import Factory, Filter
-from vislam.filters.slam import EkfSlam, Parts, slam_constant_prior
+from vislam.filters.slam import EkfSlam, slam_constant_prior
 
 __all__ = [
     "DeadReckoning",

@@ -12,8 +12,10 @@ import numpy as np
 from vislam.arrays import Array
 from vislam.filters import model
 from vislam.filters.estimate import Estimate
+from vislam.filters.inverse_depth import along_inverse_depth
+from vislam.filters.parts import PAPER, Parts
 from vislam.filters.records import Linear
-from vislam.filters.slam import EkfSlam, Parts
+from vislam.filters.slam import EkfSlam
 from vislam.lie import so3
 
 
@@ -46,6 +48,8 @@ def transport(x: Estimate, T_next: Array, landmarks_next: Array) -> Linear:
 
 FIRST_ESTIMATES = Parts(linearise=at_first_estimates)
 TRANSPORTED = Parts(transport=transport)
+INVERSE_DEPTH = along_inverse_depth(PAPER)
 
 slam_fej = partial(EkfSlam, parts=FIRST_ESTIMATES)
 slam_transport = partial(EkfSlam, parts=TRANSPORTED)
+slam_inverse_depth = partial(EkfSlam, parts=INVERSE_DEPTH)

@@ -20,7 +20,8 @@ import numpy as np
 from vislam.arrays import Array
 from vislam.charts import INVARIANT
 from vislam.filters import model
-from vislam.filters.slam import EkfSlam, Parts
+from vislam.filters.parts import Parts
+from vislam.filters.slam import EkfSlam
 from vislam.lie import se3, so3
 from vislam.types import Calibration, Noise
 

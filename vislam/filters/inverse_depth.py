@@ -11,22 +11,21 @@ Transactions on Robotics 24(5), 2008, with the camera at birth held fixed.
 """
 
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 
 from vislam.arrays import Array
 from vislam.charts import Chart
 from vislam.filters import model
-from vislam.filters.consistent import TRANSPORTED
 from vislam.filters.estimate import Estimate
+from vislam.filters.parts import Parts, at_estimate
 from vislam.filters.records import Linear
-from vislam.filters.slam import EkfSlam
 from vislam.gaussian import transposed
 from vislam.lie import se3
 
-#: No update makes a landmark's depth more than so many times what it was: beyond lies infinity.
-MOST_GROWTH = 10.0
+#: No update moves a landmark from nearer to farther than this: beyond lies infinity, and a variance
+#: in metres that no longer goes into one matrix with those of what is near.
+FARTHEST_M = 1000.0
 
 
 def retract(chart: Chart, x: Estimate, delta: Array) -> tuple[Array, Array]:
@@ -38,7 +37,7 @@ def retract(chart: Chart, x: Estimate, delta: Array) -> tuple[Array, Array]:
     step = delta[..., 6:].reshape(x.landmarks.shape)
     dq = (step[..., None, :] @ Ts[..., :3, :3])[..., 0, :]
     depth, share = q[..., 2:], dq[..., 2:] / q[..., 2:]
-    growth = 1 / (1 - np.minimum(share, 1 - 1 / MOST_GROWTH))
+    growth = 1 / np.maximum(1 - share, np.minimum(depth / FARTHEST_M, 1.0))
     moved = np.concatenate([q[..., :2] + dq[..., :2] - q[..., :2] * share, depth], axis=-1)
     return T, se3.apply(Ts, (growth * moved)[..., None, :])[..., 0, :]
 
@@ -65,5 +64,12 @@ def transport(x: Estimate, T_next: Array, landmarks_next: Array) -> Linear:
     return Linear(F=model.transition(x.T, T_next), M=M.reshape(rows), D=D)
 
 
-INVERSE_DEPTH = replace(TRANSPORTED, retract=retract, transport=transport)
-slam_inverse_depth = partial(EkfSlam, parts=INVERSE_DEPTH)
+def along_inverse_depth(parts: Parts) -> Parts:
+    """The same filter with landmarks that move along their inverse depth.
+
+    One whose landmarks move with the world's frame, or that linearises at first estimates, has a
+    covariance that another step would not fit: it stays as it is.
+    """
+    if parts.from_right is not None or parts.linearise is not at_estimate:
+        return parts
+    return replace(parts, retract=retract, transport=transport)

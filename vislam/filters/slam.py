@@ -8,23 +8,24 @@ without a sighting decide; a landmark that is seen again after that starts as a 
 stays is exactly what a full filter has that gives it a new name there.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
-from vislam.arrays import Array, BoolArray, IntArray
-from vislam.charts import RIGHT, Chart
+from vislam.arrays import Array, IntArray
+from vislam.charts import RIGHT
 from vislam.filters import model
 from vislam.filters.backward import Kept, Later, past
-from vislam.filters.estimate import Estimate
+from vislam.filters.estimate import Estimate as Estimate
+from vislam.filters.inverse_depth import along_inverse_depth
 from vislam.filters.observation import Observation
+from vislam.filters.parts import PAPER
+from vislam.filters.parts import Parts as Parts
 from vislam.filters.records import (
     MAP,
     POSE,
     Augment,
-    Correct,
     Drop,
     Linear,
     Record,
@@ -33,73 +34,7 @@ from vislam.filters.records import (
 from vislam.filters.roster import Retired, slots_of
 from vislam.filters.tape import Tape
 from vislam.gaussian import reuse_freed_memory
-from vislam.types import Belief, Calibration, Frame, Innovation, Noise, Smoothed, Task, Twist
-
-
-def at_estimate(x: Estimate) -> tuple[Array, Array]:
-    """Linearise at the present estimate, as the extended Kalman filter does."""
-    return x.T, x.landmarks
-
-
-def as_recorded(record: Record, P: Array) -> Array:
-    """The covariance after a record, as the record says."""
-    return record.forward(P)
-
-
-def added(chart: Chart, x: Estimate, delta: Array) -> tuple[Array, Array]:
-    """The pose and landmarks that an error vector leads to, as the chart has it."""
-    return chart.retract(x.T, x.landmarks, delta)
-
-
-@dataclass(frozen=True, slots=True)
-class Parts:
-    """The formulas of the recursion. A variant of the filter replaces some, and nothing else.
-
-    The defaults are the paper's; `vislam.filters.model` says what each takes and returns.
-
-    Attributes:
-        chart: error and retraction.
-        retract: the pose and landmarks that an error vector leads to.
-        from_right: columns that turn the pose's error of the paper's chart into the state's error
-            of this one at (pose, landmarks), shape (..., 6 + 3m, 6); None where they are one.
-        linearise: the pose and landmarks at which Jacobians are taken.
-        transition: F, from the linearisation pose and the predicted one.
-        process_noise: what a step adds to the pose's covariance.
-        valid: which features can be used.
-        observation_jacobians: of the readings by pose and landmark.
-        whitening: of residuals, by the readings as predicted.
-        gate: which sightings to accept.
-        correct: the update that an observation makes.
-        birth: new landmarks, their Jacobian by the pose's error, their own covariance.
-        iterate: the last correction, from the first and from the sightings linearised where an
-            error vector leads; None where the first is the last.
-        transport: what an update that moved an estimate to (pose, landmarks) does to the covariance
-            besides; None for nothing.
-        change: the covariance after a record.
-    """
-
-    chart: Chart = RIGHT
-    retract: Callable[[Chart, Estimate, Array], tuple[Array, Array]] = added
-    from_right: Callable[[Array, Array], Array] | None = None
-    linearise: Callable[[Estimate], tuple[Array, Array]] = at_estimate
-    transition: Callable[[Array, Array], Array] = model.transition
-    process_noise: Callable[[Noise, Twist, float], Array] = model.process_noise
-    valid: Callable[[Calibration, Array], BoolArray] = model.valid
-    observation_jacobians: Callable[[Calibration, Array, Array], tuple[Array, Array]] = (
-        model.observation_jacobians
-    )
-    whitening: Callable[[Noise, Array], Array] = model.whitening
-    gate: Callable[[Array, float, int], BoolArray] = model.gate
-    correct: Callable[[Observation], Correct] = Observation.correction
-    birth: Callable[[Calibration, Noise, Array, Array, Array], tuple[Array, Array, Array]] = (
-        model.inverse_observation
-    )
-    iterate: Callable[[Correct, Callable[[Array], Observation]], Correct] | None = None
-    transport: Callable[[Estimate, Array, Array], Linear] | None = None
-    change: Callable[[Record, Array], Array] = as_recorded
-
-
-PAPER = Parts()
+from vislam.types import Belief, Frame, Innovation, Smoothed, Task, Twist
 
 
 class EkfSlam:
@@ -124,6 +59,8 @@ class EkfSlam:
         """
         reuse_freed_memory()
         self.calibration, self.noise, self.gate = task.calibration, task.noise, task.gate
+        if task.inverse_depth:
+            parts = along_inverse_depth(parts)
         self.parts = parts
         self.records: list[Record] | None = None
         self._past = Tape(task.memory_bytes) if task.memory_bytes else None
