@@ -1,8 +1,8 @@
 """Real filter mistakes, each as a change of the production filter that is right without it.
 
 What a bench is worth is how many of these it catches. `slam+NAME` is the filter with the bug in it,
-on the base where its clean form passes; `slam-fej+NAME` and `slam-transport+NAME` put it into
-another. The tables name what they make and import none of it.
+on the base where its clean form passes; `slam-invariant+NAME`, or another of `PARTS`, puts it into
+that one. The tables name what they make and import none of it.
 """
 
 import difflib
@@ -30,6 +30,9 @@ PARTS = MappingProxyType(
         "slam": "vislam.filters.slam:PAPER",
         "slam-fej": "vislam.filters.consistent:FIRST_ESTIMATES",
         "slam-transport": "vislam.filters.consistent:TRANSPORTED",
+        "slam-invariant": "vislam.filters.invariant:RIGHT_INVARIANT",
+        "slam-iterated": "vislam.filters.iterated:ITERATED",
+        "slam-inverse-depth": "vislam.filters.inverse_depth:INVERSE_DEPTH",
     }
 )
 
@@ -38,7 +41,7 @@ def mutant(name: str) -> "Factory":
     """The factory of a filter with a bug.
 
     Args:
-        name: `slam+BUG` for the bug's own base, or `slam-fej+BUG`, `slam-transport+BUG`.
+        name: `slam+BUG` for the bug's own base, or with another base of `PARTS`, as `slam-fej+BUG`.
 
     Raises:
         InputError: there is no such base, or no such bug.

@@ -8,6 +8,7 @@ CHECKS = (
     "audit",
     "null-space",
     "jacobian",
+    "retraction",
     "masking",
     "covariance-laws",
     "nees",

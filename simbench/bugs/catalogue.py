@@ -194,7 +194,7 @@ CATALOGUE = MappingProxyType(
             what="The update is exp(d) T, with the H of T exp(d).",
             source="bitcraze/crazyflie-firmware#1531, decargroup/navlie 0b838f1",
             make=f"{_PARTS}:left_retraction",
-            checks=("audit", "nees"),
+            checks=("audit", "retraction", "nees"),
             audit=Trace(scene="additive", call="update 1", block="pose covariance"),
         ),
         "jacobian-without-division-by-depth": Bug(
@@ -203,6 +203,14 @@ CATALOGUE = MappingProxyType(
             make=f"{_PARTS}:jacobian_without_division_by_depth",
             checks=("audit", "jacobian", "nees", "whiteness"),
             audit=Trace(scene="births", call="update 1", block="landmark covariance (age 1)"),
+        ),
+        "landmarks-moved-with-the-pose": Bug(
+            what="An invariant filter's landmark goes to Exp(theta) (f + zeta) + p, as the pose.",
+            source="none found; akin to the divergence of Zhang et al., RA-L 2(2), 2017",
+            make=f"{_PARTS}:landmarks_moved_with_the_pose",
+            base="slam-invariant",
+            checks=("retraction",),
+            blind="the retraction is right to first order, and without noise nothing is corrected",
         ),
         "control-adjoint-4x4": Bug(
             what="The adjoint's exponential by the formula of 4x4 matrices: without its last term.",

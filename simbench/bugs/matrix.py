@@ -28,6 +28,7 @@ COLUMNS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
         "audit": ("exact-audit",),
         "jacobian": ("jacobians",),
+        "retraction": ("keep-the-known-map", "move-by-the-correction"),
         "null-space": ("null-space",),
         "masking": (
             "ignore-an-empty-frame",

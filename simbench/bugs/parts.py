@@ -17,7 +17,7 @@ from vislam.filters import model
 from vislam.filters.estimate import Estimate
 from vislam.filters.observation import Observation
 from vislam.filters.records import MAP, POSE, Augment, Correct, Linear, Record
-from vislam.filters.slam import EkfSlam, Estimate, Parts
+from vislam.filters.slam import EkfSlam, Parts
 from vislam.gaussian import gate_threshold, subtract_gram, transposed
 from vislam.lie import se3, so3
 from vislam.lie.series import stumpff
@@ -224,6 +224,16 @@ posterior_pose_covariance_not_stored = replacing(change=_pose_block_kept)
 fancy_index_write_into_a_copy = replacing(change=_seen_block_kept)
 covariance_never_symmetrised = replacing(change=_never_symmetrised)
 unseen_landmarks_left = replacing(correct=_unseen_landmarks_left)
+
+
+def _landmarks_moved_with_the_pose(chart: Chart, x: Estimate, delta: Array) -> tuple[Array, Array]:
+    """Exp(theta) (f + zeta) + p, zeta = xi_f - rho: exp(xi) of a landmark that moved before."""
+    T, _ = chart.retract(x.T, x.landmarks, delta)
+    zeta = delta[..., MAP].reshape(x.landmarks.shape) - delta[..., None, :3]
+    return T, se3.apply(se3.exp(delta[..., POSE]), x.landmarks + zeta)
+
+
+landmarks_moved_with_the_pose = replacing(retract=_landmarks_moved_with_the_pose)
 left_retraction = replacing(chart=Chart(RIGHT.name, RIGHT.error, LEFT.retract))
 reset_by_right_jacobian = replacing(transport=_reset_by_right_jacobian)
 

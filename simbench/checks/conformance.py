@@ -38,12 +38,16 @@ _BY_MODULE = {
     "vague": {
         "find-the-place": "covariances stay covariances where a known map tells a vague start all",
     },
+    "known": {
+        "keep-the-known-map": "landmarks that are known stay where they are as the pose turns",
+    },
     "gate": {
         "refuse-as-often-as-told": "a gate of probability p refuses 1 - p of right sightings",
     },
     "jacobians": {
         "jacobians": "F, H and G that a filter shows are those of their definitions",
         "follow-the-records": "the covariance is what a filter's records make of the one before",
+        "move-by-the-correction": "an update moves the estimate by what its records say, K r",
     },
     "structure": {
         "null-space": "F, H and G that a filter shows keep the motions of the world unobservable",

@@ -78,6 +78,49 @@ def follow_the_records(factory: Factory, drive: ShortDrive | None = None) -> Che
     )
 
 
+@check
+def move_by_the_correction(factory: Factory, drive: ShortDrive | None = None) -> CheckResult:
+    """White box: the error of the estimate after an update, about the one before, is K r.
+
+    That is what a retraction is, and what a covariance says that is not carried along. A filter
+    whose landmarks move in coordinates of their own carries it along by blocks D; a landmark then
+    moves by (I + D) / 2 of its part, the mean of its step at both ends, to second order.
+    """
+    worst_m, where, updates = 0.0, "start", 0
+    for before, after in white_box(factory, Feed.of(drive).streamed()):
+        corrections = [r for r in after.records if isinstance(r, Correct) and len(r.slots)]
+        if len(corrections) != 1 or len(corrections[0].delta) != 6 + 3 * len(before.belief.ids):
+            continue  # several moves, or one of landmarks that entered in the same call
+        updates += 1
+        found = _unexplained(before.belief, after, corrections[0].delta)
+        if not found <= worst_m:
+            worst_m, where = found, after.name
+    if not updates:
+        raise NotApplicable("no update made one correction")
+    return judged(
+        worst_m,
+        ROUNDING,
+        good=f"{updates} updates moved the estimate by their corrections",
+        bad=f"{where} moves the estimate otherwise than its correction says, by {worst_m:.2g} "
+        "metres or radians",
+    )
+
+
+def _unexplained(before: Belief, after: Call, delta: Array) -> float:
+    """What is left of a move when the correction, and a D after it, are taken off."""
+    moved_by = before.error(state_of(_with(before.ids, after, after)))
+    left = moved_by - delta
+    D = next((r.D for r in after.records if isinstance(r, Linear) and r.D is not None), None)
+    if D is not None:
+        change = D[: len(before.ids)] - np.eye(3)
+        part = delta[6:].reshape(-1, 3)
+        of_map = left[6:].reshape(-1, 3) - 0.5 * (change @ part[..., None])[..., 0]
+        third_order = np.linalg.norm(change, axis=(-2, -1)) ** 2 * np.linalg.norm(part, axis=-1)
+        beyond = np.linalg.norm(of_map, axis=-1) - third_order
+        left = np.append(left[:6], beyond.clip(min=0))
+    return float(np.nan_to_num(np.abs(left), nan=np.inf).max())
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Block:
     """A block of a Jacobian: its name, and its largest difference relative to its size."""

@@ -173,7 +173,8 @@ def _leaks(calls: list[tuple[Call, Call]]) -> tuple[list[Leak], list[Leak]]:
                     N, own = record.carried(N), record.carried(own)
                     if after.name.startswith("predict"):
                         local.append(_difference(f"{after.name} moves {_MOTION}", own, N_after))
-                    elif record.M is not None:  # else it resets the pose alone, as some EKFs do
+                    elif record.M is not None or record.D is not None:
+                        # else it resets the pose alone, as some EKFs do
                         kept = N_after[: len(own)]
                         local.append(_difference(f"{after.name} transports {_MOTION}", own, kept))
     return carried, local

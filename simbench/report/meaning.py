@@ -81,6 +81,10 @@ _LAWS = {
     "refuse-as-often-as-told": "The gate has wrong degrees of freedom, or another probability.",
     "jacobians": "A Jacobian is not the derivative of its function: a sign, a side of the "
     "perturbation, a frame.",
+    "keep-the-known-map": "The retraction moves landmarks with the pose: right to first order, and "
+    "wrong by the square of a turn.",
+    "move-by-the-correction": "The retraction is not the inverse of the error whose covariance the "
+    "filter states: another side, another chart.",
     "follow-the-records": "The covariance is changed by something that the filter does not show.",
     "null-space": "Jacobians are taken at estimates that disagree, so the filter takes a motion of "
     "the whole world for something it sees.",

@@ -139,8 +139,8 @@ def test_the_matrix_marks_what_is_missed(found):
     lines = table({"fused-twice": blind, "gate-of-wrong-dof": found["gate-of-wrong-dof"]})
     assert [line.split() for line in lines.splitlines()] == [
         list(COLUMNS),
-        ["fused-twice", "!", ".", ".", ".", ".", "."],
-        ["gate-of-wrong-dof", ".", ".", ".", ".", ".", "x"],
+        ["fused-twice", "!", ".", ".", ".", ".", ".", "."],
+        ["gate-of-wrong-dof", ".", ".", ".", ".", ".", ".", "x"],
     ]
 
 
