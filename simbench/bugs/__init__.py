@@ -27,12 +27,12 @@ BUGS = MappingProxyType(CATALOGUE | FURTHER)
 #: Where the parts of a base filter are.
 PARTS = MappingProxyType(
     {
-        "slam": "vislam.filters.slam:PAPER",
+        "slam": "vislam.filters.parts:PAPER",
         "slam-fej": "vislam.filters.consistent:FIRST_ESTIMATES",
         "slam-transport": "vislam.filters.consistent:TRANSPORTED",
         "slam-invariant": "vislam.filters.invariant:RIGHT_INVARIANT",
         "slam-iterated": "vislam.filters.iterated:ITERATED",
-        "slam-inverse-depth": "vislam.filters.inverse_depth:INVERSE_DEPTH",
+        "slam-inverse-depth": "vislam.filters.consistent:INVERSE_DEPTH",
     }
 )
 

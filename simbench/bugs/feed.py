@@ -11,7 +11,8 @@ import numpy as np
 from simbench.bugs.parts import Make
 from vislam.arrays import Array, IntArray
 from vislam.filters import model
-from vislam.filters.slam import EkfSlam, Parts
+from vislam.filters.parts import Parts
+from vislam.filters.slam import EkfSlam
 from vislam.lie import se3
 from vislam.types import Frame, Innovation, Noise, Task, Twist
 

@@ -16,8 +16,9 @@ from vislam.charts import LEFT, RIGHT, Chart
 from vislam.filters import model
 from vislam.filters.estimate import Estimate
 from vislam.filters.observation import Observation
+from vislam.filters.parts import Parts
 from vislam.filters.records import MAP, POSE, Augment, Correct, Linear, Record
-from vislam.filters.slam import EkfSlam, Parts
+from vislam.filters.slam import EkfSlam
 from vislam.gaussian import gate_threshold, subtract_gram, transposed
 from vislam.lie import se3, so3
 from vislam.lie.series import stumpff

@@ -93,7 +93,7 @@ D_FAULTS = {
 @pytest.mark.parametrize("fault", D_FAULTS)
 def test_blocks_that_are_not_the_retractions_are_seen_by_the_move_alone(fault):
     """To first order D is one, and it keeps the null space as long as M goes with it."""
-    parts = replace(inverse_depth.INVERSE_DEPTH, transport=D_FAULTS[fault])
+    parts = replace(consistent.INVERSE_DEPTH, transport=D_FAULTS[fault])
     factory = partial(EkfSlam, parts=parts)
     assert audit_drive(factory, drive("births")).passed
     for check in (
@@ -118,7 +118,7 @@ def of_another_D(x, T, landmarks):
 
 @pytest.mark.parametrize("transport", [without_M, of_another_D])
 def test_blocks_that_M_does_not_go_with_lose_the_null_space_at_the_filters_own_estimates(transport):
-    parts = replace(inverse_depth.INVERSE_DEPTH, transport=transport)
+    parts = replace(consistent.INVERSE_DEPTH, transport=transport)
     result = structure.null_space(partial(EkfSlam, parts=parts))
     assert result.failure == "mistake"
     assert "transports a motion of the world" in result.reason
