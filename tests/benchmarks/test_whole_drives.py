@@ -1,0 +1,64 @@
+"""Drives of real size: how many times faster than real time, and within which memory."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.benchmarks.turns import MARGIN
+from vislam.types import MEMORY_BYTES
+
+ROOT = Path(__file__).parents[2]
+REAL = ROOT.parent / "shared/data/2022/03.npz"
+SMALL_BYTES = 20_000_000
+#: What the run keeps besides, of its results and of numpy's own.
+BESIDES_BYTES = 10_000_000
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(not Path("/proc/self/clear_refs").exists(), reason="no Linux"),
+]
+
+
+def took(source, memory_bytes):
+    """What `tests.benchmarks.whole_drive` says."""
+    command = [sys.executable, "-m", "tests.benchmarks.whole_drive", source, str(memory_bytes)]
+    said = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
+    return json.loads(said.stdout)
+
+
+@pytest.mark.parametrize(
+    ("source", "landmarks", "times_faster"),
+    [
+        pytest.param(
+            REAL, 5000, 50, marks=pytest.mark.skipif(not REAL.is_file(), reason="it is not here")
+        ),
+        (ROOT / "scenarios/drive_large.yaml", 13_000, 20),
+    ],
+    ids=["03.npz", "drive_large"],
+)
+def test_a_whole_drive_is_many_times_faster_than_real_time(
+    benchmark, report, source, landmarks, times_faster
+):
+    usual = benchmark.pedantic(took, (source, MEMORY_BYTES))
+    small, none = took(source, SMALL_BYTES), took(source, 0)
+    rows = [
+        (f"{source.name}, {named}", *faster(found), found["grown_bytes"] / 1e6)
+        for named, found in (("1 GB", usual), ("20 MB", small), ("no pass back", none))
+    ]
+    heads = ("memory budget", "forward", "backward", "total", "by the wall's clock", "grown MB")
+    report("A whole drive by slam, times faster than real time, and memory", heads, rows)
+    assert usual["landmarks"] == small["landmarks"] > landmarks > none["landmarks"]
+    assert small["grown_bytes"] < none["grown_bytes"] + SMALL_BYTES + BESIDES_BYTES
+    if benchmark.enabled:
+        _, _, total, _ = faster(usual)
+        assert total > times_faster / MARGIN
+
+
+def faster(found):
+    """Forward, backward, both, and both by the clock on the wall."""
+    forward, backward = found["forward_s"], found["backward_s"]
+    seconds = forward, backward, forward + backward, found["wall_s"]
+    return tuple(found["drive_s"] / s for s in seconds)
