@@ -119,6 +119,8 @@ def by_this_and_next_sample(dataset: Dataset) -> tuple[float, float] | None:
         steps = (se3.inverse(T_imu_cam) @ steps @ T_imu_cam)[frame]
         q = se3.apply(steps, triangulate(rig, z)[:, None])[:, 0]
         front = in_front(q)
+        if not front.any():
+            return None
         off = (project(rig, q[front]) - z_next[front])[:, :2]
         medians.append(float(np.median(np.linalg.norm(off, axis=1))))
     return medians[0], medians[1]

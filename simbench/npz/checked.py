@@ -167,7 +167,7 @@ def _name_of_times(source: Source) -> str:
 
 def _present(source: Source) -> Iterator[tuple[str, str, str]]:
     """Key of today, name in the file and shape of all that the file should hold."""
-    held = ", ".join(sorted(source.keys)) or "nothing"
+    held = f"{', '.join(sorted(source.keys)) or 'nothing':.500}"
     for key, shape in (FORMAT_2025 if isinstance(source, Pickled) else FORMAT).items():
         former = FORMER_NAMES.get(key, key)
         name = key if key in source.keys else former

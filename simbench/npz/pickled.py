@@ -56,6 +56,8 @@ class Pickled:
     def sparse(self, key: str) -> Sparse:
         """What is not -1 in an array."""
         dense = self._numbers(key)
+        if not dense.ndim:
+            raise self.error(key, "expected an array, got one number")
         count = int(np.count_nonzero(dense != -1))
         what = f"{count} coordinates that are not -1, which says that nothing is seen,"
         refuse_above_limit(f"{self.path}: {key}", what, count * BYTES_PER_COORDINATE)

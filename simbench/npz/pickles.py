@@ -318,7 +318,11 @@ def _value(path: Path, key: str, value: Any) -> Value:
 def _flatten(value: Any, shape: list[int], numbers: list[float]) -> None:
     """Gather the numbers of nested lists that are of one shape all over."""
     if not shape:
-        numbers.append(float(_plain(value)))
+        value = _plain(value)
+        value = value.item() if isinstance(value, np.ndarray) else value
+        if not isinstance(value, int | float):
+            raise TypeError(value)
+        numbers.append(float(value))
     elif len(value) != shape[0]:
         raise ValueError(len(value))
     else:

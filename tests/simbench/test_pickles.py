@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from simbench.errors import DatasetError
 from simbench.limits import limited_to
+from simbench.npz import read_npz
 from simbench.npz.pickles import load_npy_dict
 
 REAL_NAMES = ("v_t", "w_t", "timestamps", "features", "K_l", "K_r", "extL_T_imu", "extR_T_imu")
@@ -309,3 +310,18 @@ def test_a_bomb_is_refused_in_bounded_memory_and_time(answers, name):
     seconds, said = answers[name]
     assert said == "[]" if name in HARMLESS else ".npy: " in said
     assert seconds < 10
+
+
+# what fuzzing found
+
+
+def test_texts_that_look_like_numbers_are_none(tmp_path):
+    message = refused(tmp_path, npy(pickled_dict({"v_t": ["0", "1"]}, 4)))
+    assert "v_t: expected an array of numbers" in message
+
+
+@pytest.mark.parametrize("features", [0.5, np.float64(-1), np.array(3)])
+def test_features_of_one_number_are_refused(tmp_path, features):
+    np.save(tmp_path / "d.npy", example() | {"features": features})
+    with pytest.raises(DatasetError, match=r"features: expected an array, got one number"):
+        read_npz(tmp_path / "d.npy")
