@@ -1,5 +1,9 @@
-"""The filters against what a user would pick instead: iSAM2, with the batch optimum beside both."""
+"""The filters against what a user would pick instead: iSAM2, with the batch optimum beside both.
 
+`SIMBENCH_SEEDS` says of how many drives, by default 10, which takes minutes.
+"""
+
+import os
 import time
 from pathlib import Path
 
@@ -18,7 +22,9 @@ from tests.benchmarks.smoother import estimated
 
 DRIVE = Path(__file__).parents[2] / "scenarios" / "drive.yaml"
 FILTERS = ("slam", "slam-transport", "slam-invariant", "slam-iterated", "slam-inverse-depth")
-SEEDS = range(10)
+#: The one that is held to the smoother: made for depths beyond the rule, which this drive has.
+BEST = "slam-inverse-depth"
+SEEDS = range(int(os.environ.get("SIMBENCH_SEEDS", "10")))
 #: Filters and smoother are told the same, so nothing may be in the data that only a gate handles.
 #: The depth rule (17 m here) is kept in part. With depths to 40 m iSAM2 at its defaults gives up on
 #: half of the seeds: a Gauss-Newton step puts a landmark behind its cameras.
@@ -138,7 +144,7 @@ def test_cost_and_error_against_isam2(benchmark, report, frames, landmarks):
     fifths = [f"{i + 1}. fifth" for i in range(BLOCKS)]
     report(f"Milliseconds a frame over {frames} frames", ("", *fifths), over_time)
     if benchmark.enabled:
-        theirs, ours = rms(tallies["iSAM2"].smoothed)[0], rms(tallies["slam"].smoothed)[0]
+        theirs, ours = (rms(tallies[name].smoothed)[0] for name in ("iSAM2", BEST))
         assert ours < 1.1 * theirs
         if frames == 1000:
-            assert cheaper["slam"] > 5 / MARGIN
+            assert cheaper[BEST] > 5 / MARGIN
