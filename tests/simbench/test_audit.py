@@ -25,6 +25,7 @@ RIGHT = [
     "slam-transport",
     "slam-invariant",
     "slam-iterated",
+    "slam-inverse-depth",
 ]
 
 
