@@ -5,7 +5,7 @@ LAPACK and BLAS; states with batch axes (..., n, n) through numpy's stacked rout
 """
 
 import numpy as np
-from scipy.linalg.blas import dtrsm
+from scipy.linalg.blas import dgemm, dtrsm
 from scipy.linalg.lapack import dpotrf
 from scipy.special import chdtri
 
@@ -50,13 +50,23 @@ def solve_lower(L: Array, X: Array) -> Array:
 
 
 def subtract_gram(P: Array, Y_T: Array) -> Array:
-    """P - Y Y^T for Y_T = Y^T of shape (..., k, n).
+    """P - Y Y^T for Y_T = Y^T of shape (..., k, n), in the place of P.
 
     The product of a matrix with its own transpose is one symmetric rank-k update in BLAS, so the
     result is exactly as symmetric as P.
     """
-    gram: Array = transposed(Y_T) @ Y_T
-    return np.subtract(P, gram, out=gram)
+    P -= transposed(Y_T) @ Y_T
+    return P
+
+
+def add_product(P: Array, A: Array, B: Array) -> Array:
+    """P + A B^T in the place of a symmetric P, for a symmetric product of shapes (..., n, k)."""
+    if P.ndim > 2 or not P.flags.c_contiguous:
+        P += symmetrised(A @ transposed(B))
+        return P
+    # P^T is P in the order that BLAS works in; so are A^T and B^T, and B A^T is the same product
+    dgemm(1.0, A.T, B.T, beta=1.0, c=P.T, trans_a=1, overwrite_c=1)
+    return P
 
 
 def reuse_freed_memory() -> None:

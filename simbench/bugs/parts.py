@@ -183,7 +183,7 @@ class _TwoCorrections(Correct):
     of_map: Correct
 
     def forward(self, P: Array) -> Array:
-        return self.of_map.forward(subtract_gram(P, self.Y_T))
+        return self.of_map.onto(subtract_gram(P.copy(), self.Y_T))
 
     @property
     def delta(self) -> Array:

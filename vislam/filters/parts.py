@@ -18,8 +18,8 @@ def at_estimate(x: Estimate) -> tuple[Array, Array]:
 
 
 def as_recorded(record: Record, P: Array) -> Array:
-    """The covariance after a record, as the record says."""
-    return record.forward(P)
+    """The covariance after a record, as the record says, in the place of the one before."""
+    return record.onto(P)
 
 
 def added(chart: Chart, x: Estimate, delta: Array) -> tuple[Array, Array]:
@@ -51,7 +51,7 @@ class Parts:
             error vector leads; None where the first is the last.
         transport: what an update that moved an estimate to (pose, landmarks) does to the covariance
             besides; None for nothing.
-        change: the covariance after a record.
+        change: the covariance after a record; the one before is given up.
     """
 
     chart: Chart = RIGHT

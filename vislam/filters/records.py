@@ -1,8 +1,8 @@
 """The four ways in which the covariance of an EKF's state changes, each as a record.
 
 The state is x = (pose, landmarks). Every change of its covariance P is one of these, applied by
-`forward`. What judges a filter from inside reads the same records that moved it, and so does the
-backward pass (`vislam.filters.backward`).
+`forward`, or in the place of P by `onto`. What judges a filter from inside reads the same records
+that moved it, and so does the backward pass (`vislam.filters.backward`).
 """
 
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from typing import TypeAlias
 import numpy as np
 
 from vislam.arrays import Array, IntArray
-from vislam.gaussian import subtract_gram, symmetrised, transposed
+from vislam.gaussian import add_product, subtract_gram, symmetrised, transposed
 
 POSE = slice(0, 6)
 MAP = slice(6, None)
@@ -38,24 +38,51 @@ class Linear:
 
     def forward(self, P: Array) -> Array:
         """A P A^T + N Q N^T; both cross blocks move with the pose (the paper, III.C.2)."""
-        P = P.copy()
+        return self.onto(P.copy())
+
+    def onto(self, P: Array) -> Array:
+        """The same, in the place of P.
+
+        With W = A - I in the pose's columns, A P A^T = P + W V + V^T W^T, where
+        V = P_R + P_RR W^T / 2.
+        """
         if self.D is not None:
-            P[..., MAP] = transposed(times_blocks(self.D, transposed(P[..., MAP])))
             P[..., MAP, :] = times_blocks(self.D, P[..., MAP, :])
-        pose, cross = P[..., POSE, POSE].copy(), P[..., POSE, MAP]
+            P[..., MAP] = transposed(times_blocks(self.D, transposed(P[..., MAP])))
+        if self.M is None and self.N is None:
+            P[..., POSE, MAP] = self.F @ P[..., POSE, MAP]
+            P[..., MAP, POSE] = transposed(P[..., POSE, MAP])
+            pose = self.F @ P[..., POSE, POSE] @ transposed(self.F)
+            P[..., POSE, POSE] = symmetrised(pose if self.Q is None else pose + self.Q)
+            return P
+        M = np.zeros((*P.shape[:-2], P.shape[-1] - 6, 6)) if self.M is None else self.M
+        W = np.concatenate([self.F - np.eye(6), M], axis=-2)
+        V_T = P[..., POSE] + 0.5 * W @ P[..., POSE, POSE]
+        left, right = [W, V_T], [V_T, W]
+        if self.Q is not None:
+            N = np.eye(P.shape[-1])[:, :6] if self.N is None else self.N
+            left.append(N @ self.Q)
+            right.append(N)
+        return add_product(P, np.concatenate(left, axis=-1), np.concatenate(right, axis=-1))
+
+    def marginals(self, P: Array) -> tuple[Array, Array]:
+        """Of the pose and of each landmark alone, what `forward` would give.
+
+        Returns:
+            Shapes (..., 6, 6) and (..., m, 3, 3).
+        """
+        pose, blocks = P[..., POSE, POSE], diagonal_blocks(P[..., MAP, MAP])
+        if self.D is not None:
+            blocks = self.D @ blocks @ transposed(self.D)
         if self.M is not None:
-            by_map = self.M @ cross
-            P[..., MAP, MAP] += by_map + transposed(by_map)
-            P[..., MAP, MAP] += symmetrised(self.M @ pose @ transposed(self.M))
-            cross = cross + pose @ transposed(self.M)
-        P[..., POSE, MAP] = self.F @ cross
-        P[..., MAP, POSE] = transposed(P[..., POSE, MAP])
-        P[..., POSE, POSE] = symmetrised(self.F @ pose @ transposed(self.F))
-        if self.Q is not None and self.N is None:
-            P[..., POSE, POSE] += symmetrised(self.Q)
-        elif self.Q is not None and self.N is not None:
-            P += symmetrised(self.N @ self.Q @ transposed(self.N))
-        return P
+            m = blocks.shape[-3]
+            M = self.M.reshape(*self.M.shape[:-2], m, 3, 6)
+            cross = P[..., MAP, POSE].reshape(*P.shape[:-2], m, 3, 6)
+            if self.D is not None:
+                cross = self.D @ cross
+            half = (cross + 0.5 * M @ pose[..., None, :, :]) @ transposed(M)
+            blocks = blocks + half + transposed(half)
+        return symmetrised(self.F @ pose @ transposed(self.F)), blocks
 
     def carried(self, x: Array) -> Array:
         """A x, for x of shape (..., 6 + 3m, c)."""
@@ -89,6 +116,10 @@ class Correct:
 
     def forward(self, P: Array) -> Array:
         """(I - K H) P = P - Y Y^T."""
+        return self.onto(P.copy())
+
+    def onto(self, P: Array) -> Array:
+        """The same, in the place of P."""
         return subtract_gram(P, self.Y_T)
 
     @property
@@ -111,6 +142,10 @@ class Augment:
 
     def forward(self, P: Array) -> Array:
         """The larger covariance; landmarks born together correlate through the pose."""
+        return self.onto(P)
+
+    def onto(self, P: Array) -> Array:
+        """The same."""
         n, size = P.shape[-1], P.shape[-1] + self.G.shape[-2]
         cross = self.G @ P[..., POSE, :]
         grown = np.empty((*P.shape[:-2], size, size))
@@ -143,6 +178,10 @@ class Drop:
 
     def forward(self, P: Array) -> Array:
         """The covariance of what stays."""
+        return self.onto(P)
+
+    def onto(self, P: Array) -> Array:
+        """The same."""
         return P[..., self.stays, :][..., self.stays]
 
 

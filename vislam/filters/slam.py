@@ -112,14 +112,16 @@ class EkfSlam:
     def belief(self, joint: bool = False) -> Belief:
         """Pose and living landmarks; without the joint covariance in the paper's chart."""
         own = joint or self.parts.from_right is None
-        P = self.P if own else self._to_right(self.x).forward(self.P)
+        pose, blocks = self.P[..., POSE, POSE], diagonal_blocks(self.P[..., MAP, MAP])
+        if not own:
+            pose, blocks = self._to_right(self.x).marginals(self.P)
         return Belief(
             T_world_imu=self.x.T.copy(),
-            pose_covariance=P[..., POSE, POSE].copy(),
+            pose_covariance=pose.copy(),
             ids=self.ids.copy(),
             landmarks=self.x.landmarks.copy(),
-            landmark_covariances=diagonal_blocks(P[..., MAP, MAP]).copy(),
-            joint_covariance=P.copy() if joint else None,
+            landmark_covariances=blocks.copy(),
+            joint_covariance=self.P.copy() if joint else None,
             chart=self.parts.chart.name if own else RIGHT.name,
         )
 
@@ -143,17 +145,18 @@ class EkfSlam:
         """What was kept, changed by what came later, in the paper's chart."""
         parts = self.parts
         T, landmarks = parts.retract(parts.chart, kept.x, change)
-        if parts.transport is not None:
-            A = parts.transport(kept.x, T, landmarks)
-            P = Linear(F=np.eye(6), D=A.D).forward(P)
+        last = Linear(F=np.eye(6))
         if parts.from_right is not None:
-            P = self._to_right(kept.x).forward(P)
+            last = self._to_right(kept.x)
+        elif parts.transport is not None:
+            last = replace(last, D=parts.transport(kept.x, T, landmarks).D)
+        pose, blocks = last.marginals(P)
         return Belief(
             T_world_imu=T,
-            pose_covariance=P[..., POSE, POSE].copy(),
+            pose_covariance=pose,
             ids=kept.ids,
             landmarks=landmarks,
-            landmark_covariances=diagonal_blocks(P[..., MAP, MAP]).copy(),
+            landmark_covariances=blocks,
         )
 
     def _to_right(self, x: Estimate) -> Linear:
@@ -291,7 +294,7 @@ class EkfSlam:
         """
         due = np.flatnonzero(~self._kept)
         self._kept[:] = True
-        return Kept(ids=self.ids[due], slots=due, x=self.x.of_landmarks(due), P=self.P)
+        return Kept(ids=self.ids[due], slots=due, x=self.x.of_landmarks(due), P=self.P.copy())
 
 
 #: The paper's own start of a landmark: what it is, inconsistent.
