@@ -26,8 +26,8 @@ FILTERS = ("slam", "slam-transport", "slam-invariant", "slam-iterated", "slam-in
 BEST = "slam-inverse-depth"
 SEEDS = range(int(os.environ.get("SIMBENCH_SEEDS", "10")))
 #: Filters and smoother are told the same, so nothing may be in the data that only a gate handles.
-#: The depth rule (17 m here) is kept in part. With depths to 40 m iSAM2 at its defaults gives up on
-#: half of the seeds: a Gauss-Newton step puts a landmark behind its cameras.
+#: The depth rule (17 m at 0.7 px) is kept in part. With depths to 40 m iSAM2 at its defaults gives
+#: up on half of the seeds: a Gauss-Newton step puts a landmark behind its cameras.
 SCENE = (
     "camera.outliers.share=0",
     "filter.gate=none",
@@ -38,6 +38,8 @@ SCENE = (
     "prior.sigma_translation_m=0.01",
     "prior.sigma_rotation_deg=0.05",
 )
+#: What the long drive needs, for otherwise iSAM2 gives up on most seeds of it too.
+QUIET = ("imu.velocity.sigma=0.2", "imu.angular_velocity.sigma=0.02", "camera.sigma_px=0.5")
 BLOCKS = 5
 
 
@@ -106,16 +108,20 @@ def test_the_smoother_is_told_what_a_filter_is_told():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("frames", "landmarks"), [(300, 2030), (1000, 9900)])
-def test_cost_and_error_against_isam2(benchmark, report, frames, landmarks):
+@pytest.mark.parametrize(
+    ("frames", "landmarks", "noise"), [(300, 2030, ()), (1000, 9900, QUIET)], ids=["300", "1000"]
+)
+def test_cost_and_error_against_isam2(benchmark, report, frames, landmarks, noise):
     tallies = {name: Tally() for name in ("iSAM2", "batch optimum", *FILTERS)}
     seeds, sightings, given_up = iter(SEEDS), [], []
 
     def one_seed():
-        dataset = simulate(drive(frames, landmarks), seed=next(seeds))
+        dataset = simulate(drive(frames, landmarks, *noise), seed=next(seeds))
         try:
             theirs = estimated(dataset)
-        except RuntimeError as error:  # an indeterminate system
+        except RuntimeError as error:
+            if "Indeterminate linear system" not in str(error):
+                raise
             given_up.append(error)
             return
         sightings.append(len(dataset.sightings) / frames)
@@ -129,6 +135,8 @@ def test_cost_and_error_against_isam2(benchmark, report, frames, landmarks):
             filtered(dataset, name, tallies[name])
 
     benchmark.pedantic(one_seed, rounds=len(SEEDS))
+    if not sightings:
+        pytest.skip("iSAM2 gave up on every seed")
     per_seed = {name: np.array(tally.ms) for name, tally in tallies.items()}
     cheaper = {name: float(np.median(per_seed["iSAM2"] / ms)) for name, ms in per_seed.items()}
     title = (

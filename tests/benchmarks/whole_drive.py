@@ -1,6 +1,6 @@
-"""Runs slam over a whole drive, in a process of its own for the sake of its peak memory.
+"""Runs a filter over a whole drive, in a process of its own for the sake of its peak memory.
 
-python -m tests.benchmarks.whole_drive SOURCE MEMORY_BYTES prints what it took, as JSON.
+python -m tests.benchmarks.whole_drive SOURCE FILTER MEMORY_BYTES prints what it took, as JSON.
 """
 
 import json
@@ -9,17 +9,9 @@ import sys
 import time
 from pathlib import Path
 
+from simbench.filters import resolve
 from simbench.run import RunOptions, run
 from simbench.source import open_source
-from vislam.filters import EkfSlam
-
-
-class Timed(EkfSlam):
-    """Notes when its pass back begins."""
-
-    def finish(self):
-        Timed.back_from_s = time.process_time()
-        return super().finish()
 
 
 def resident_bytes(key: str) -> int:
@@ -28,21 +20,28 @@ def resident_bytes(key: str) -> int:
     return 1024 * int(re.search(rf"^{key}:\s+(\d+) kB", status, re.MULTILINE)[1])
 
 
-def took(source: str, memory_bytes: str) -> dict[str, float]:
+def took(source: str, name: str, memory_bytes: str) -> dict[str, float]:
     """Seconds of the processor, and how far the memory grew during the run."""
-    dataset = open_source(Path(source))
+    dataset, factory = open_source(Path(source)), resolve(name)
+    options = RunOptions(memory_bytes=int(memory_bytes))
     Path("/proc/self/clear_refs").write_text("5")  # the high-water mark falls to the present
-    before, start = resident_bytes("VmRSS"), time.process_time()
-    record = run(dataset, Timed, options=RunOptions(memory_bytes=int(memory_bytes)))
-    end = time.process_time()
+    before, marks = resident_bytes("VmRSS"), [time.process_time()]
+    record = run(dataset, factory, options=options, on_step=lambda _: mark(marks))
+    mark(marks)
+    start, *_, last_frame, end = marks
     return {
-        "forward_s": Timed.back_from_s - start,
-        "backward_s": end - Timed.back_from_s,
+        "forward_s": last_frame - start,
+        "backward_s": end - last_frame,
         "wall_s": record.wall_s,
         "drive_s": float(dataset.times_s[-1] - dataset.times_s[0]),
         "landmarks": len(record.final.ids),
         "grown_bytes": resident_bytes("VmHWM") - before,
     }
+
+
+def mark(marks: list[float]) -> None:
+    """Note the time of the processor."""
+    marks.append(time.process_time())
 
 
 if __name__ == "__main__":
