@@ -119,7 +119,7 @@ def _told(dataset: Dataset) -> dict[str, Any]:
     return {
         **sensor,
         "process_model": noise.process_model,
-        "process_sigmas": np.sqrt(np.diag(noise.process)).tolist(),
+        "process_sigmas": np.sqrt(np.maximum(np.diag(noise.process), 0)).tolist(),
         **shares,
         "gate": dataset.gate,
     }

@@ -6,6 +6,7 @@ import numpy as np
 from pydantic import Field, ValidationInfo, field_validator
 
 from simbench.scenario.values import (
+    Count,
     Integer,
     NonNegative,
     Number,
@@ -120,9 +121,9 @@ class Outliers(Section):
 class Tracks(Section):
     """How long a tracker holds a landmark, in frames; then it is lost for good."""
 
-    median_frames: Annotated[Integer, Field(ge=1)] = 10
-    min_frames: Annotated[Integer, Field(ge=1)] = 3
-    max_frames: Annotated[Integer, Field(ge=1)] = 200
+    median_frames: Count = 10
+    min_frames: Annotated[Count, Field(validate_default=True)] = 3
+    max_frames: Annotated[Count, Field(validate_default=True)] = 200
 
     @field_validator("min_frames")
     @classmethod

