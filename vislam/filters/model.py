@@ -222,5 +222,7 @@ def constant_prior(
 
 def _in_all_runs(holds: BoolArray) -> BoolArray:
     """Whether it holds in every run of a batch, shape (..., n) to (n,)."""
+    if holds.ndim == 1:
+        return holds
     together: BoolArray = np.all(holds, axis=tuple(range(holds.ndim - 1)))
     return together

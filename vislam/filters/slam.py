@@ -104,7 +104,8 @@ class EkfSlam:
         innovation = self._correct(frame.ids[known], slots[known], frame.readings[..., known, :])
         self._unseen += 1
         self._unseen[slots[known]] = 0
-        self._give_birth(frame.ids[new], frame.readings[..., new, :])
+        if new.any():
+            self._give_birth(frame.ids[new], frame.readings[..., new, :])
         self._retire(frame.ids[frame.last])
         skipped = ~usable & ~model.unseen(frame.there)
         return replace(innovation, born=frame.ids[new], skipped=frame.ids[skipped])
@@ -195,10 +196,10 @@ class EkfSlam:
                 first, lambda delta: self._seen_from(delta, slots, W, sighted).only(passed)
             )
         self._apply(correction)
-        before = replace(x)
-        x.T, x.landmarks = parts.retract(parts.chart, x, correction.delta)
+        T, landmarks = parts.retract(parts.chart, x, correction.delta)
         if parts.transport is not None and len(correction.slots):
-            self._apply(parts.transport(before, x.T, x.landmarks))
+            self._apply(parts.transport(x, T, landmarks))
+        x.T, x.landmarks = T, landmarks
 
         kept = front[passed] if passed.ndim == 1 else front
         whitened = np.zeros(readings.shape)
