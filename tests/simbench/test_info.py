@@ -12,8 +12,8 @@ from simbench.errors import InputError
 from simbench.info import describe, info
 from simbench.npz import write_npz
 from simbench.outputs import write_dataset
-from simbench.source import Kind, Told, open_source
 from simbench.poses import write_tum
+from simbench.source import Kind, Told, open_source
 
 SCENE = """
 name: small

@@ -6,10 +6,10 @@ import pytest
 
 from simbench.filters import resolve
 from simbench.outputs import record_run, write_comparison
+from simbench.poses import read_poses
 from simbench.run import run
 from simbench.scenario import loads
 from simbench.sensors import simulate
-from simbench.poses import read_poses
 
 
 @pytest.fixture(scope="module")

@@ -5,8 +5,8 @@ import pytest
 
 from simbench.errors import DatasetError, InputError
 from simbench.outputs import write_dataset
-from simbench.source import Kind, Told, kind_of, open_source
 from simbench.poses import write_tum
+from simbench.source import Kind, Told, kind_of, open_source
 
 SCENE = """
 name: small
