@@ -111,7 +111,7 @@ def project(rig: StereoRig, p_cam: Array) -> Array:
     p_cam = np.asarray(p_cam, float)
     if not (front := in_front(p_cam)).all():
         raise BehindCamera(np.flatnonzero(~front), MIN_DEPTH_M)
-    x, y, z = np.moveaxis(p_cam, -1, 0)
+    x, y, z = (p_cam[..., axis] for axis in range(3))
     u = rig.fx_px * x / z + rig.cx_px
     v = rig.fy_px * y / z + rig.cy_px
     return np.stack([u, v, u - rig.fx_px * rig.baseline_m / z, v], axis=-1)

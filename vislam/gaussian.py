@@ -17,7 +17,7 @@ class NotPositiveDefinite(ValueError):
 
 
 def cholesky(S: Array) -> Array:
-    """The lower L with S = L L^T, shape (..., k, k).
+    """The lower L with S = L L^T, shape (..., k, k); S is given up.
 
     Raises:
         NotPositiveDefinite: S is not positive definite, or not finite.
@@ -33,20 +33,20 @@ def cholesky(S: Array) -> Array:
 
 def _cholesky_one(S: Array) -> Array:
     # S is symmetric, so its transpose is the same matrix in the order that LAPACK works in
-    L, info = dpotrf(S.T, lower=1, clean=1)
+    L, info = dpotrf(S.T, lower=1, clean=1, overwrite_a=1)
     if info or not np.isfinite(L[-1:, -1:]).all():
         raise np.linalg.LinAlgError
     return np.asarray(L)
 
 
 def solve_lower(L: Array, X: Array) -> Array:
-    """L^-1 X for a lower triangular L, shapes (..., k, k) and (..., k, n)."""
+    """L^-1 X for a lower triangular L, shapes (..., k, k) and (..., k, n); X is given up."""
     if L.ndim > 2:
         return np.asarray(np.linalg.solve(L, X))
     if not L.size:
         return X
     # X^T L^-T: X^T of an X by rows is in the order that BLAS works in
-    return np.asarray(dtrsm(1.0, L, X.T, side=1, lower=1, trans_a=1).T)
+    return np.asarray(dtrsm(1.0, L, X.T, side=1, lower=1, trans_a=1, overwrite_b=1).T)
 
 
 def subtract_gram(P: Array, Y_T: Array) -> Array:

@@ -160,7 +160,7 @@ def predictable(calibration: Calibration, W: Array, S: Array) -> BoolArray:
         most = rig.range_m[1]
     else:
         most = 2 * rig.fx_px if rig.image_px is None else rig.image_px[0]
-    sigma = np.linalg.inv(W)[..., [0, 1, 2], [0, 1, 2]]
+    sigma = 1 / W[..., :3, :].sum(axis=-1)
     variance = np.einsum("...ii->...i", S) * np.square(sigma)
     within: BoolArray = np.all(variance < most**2, axis=-1)
     return within

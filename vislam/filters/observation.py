@@ -87,7 +87,7 @@ class Observation:
         )
 
     def correction(self) -> Correct:
-        """The update that it makes."""
+        """The update that it makes; HP and S are spent by that."""
         batch, rows = self.HP.shape[:-2], self.HP.shape[-2]
         L = cholesky(self.S)
         r = self.r.reshape(*batch, rows)
@@ -97,6 +97,6 @@ class Observation:
             H_map=self.H_map,
             r=r,
             L=L,
-            whitened=solve_lower(L, r[..., None])[..., 0],
+            whitened=solve_lower(L, r[..., None].copy())[..., 0],
             Y_T=solve_lower(L, self.HP),
         )

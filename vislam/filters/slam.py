@@ -274,8 +274,9 @@ class EkfSlam:
     def _retire(self, last: IntArray) -> None:
         """Take landmarks that will not be seen again out of the state."""
         leaves = np.zeros(len(self.ids), bool)
-        slots = slots_of(self.ids, last)
-        leaves[slots[slots >= 0]] = True
+        if len(last):
+            slots = slots_of(self.ids, last)
+            leaves[slots[slots >= 0]] = True
         if self._retire_after is not None:
             leaves |= self._unseen >= self._retire_after
         if self._past is not None and (self._smooth or not self._kept[leaves].all()):
