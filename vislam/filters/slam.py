@@ -17,20 +17,11 @@ from vislam.arrays import Array, IntArray
 from vislam.charts import RIGHT
 from vislam.filters import model
 from vislam.filters.backward import Kept, Later, past
-from vislam.filters.estimate import Estimate as Estimate
+from vislam.filters.estimate import Estimate
 from vislam.filters.inverse_depth import along_inverse_depth
 from vislam.filters.observation import Observation
-from vislam.filters.parts import PAPER
-from vislam.filters.parts import Parts as Parts
-from vislam.filters.records import (
-    MAP,
-    POSE,
-    Augment,
-    Drop,
-    Linear,
-    Record,
-    diagonal_blocks,
-)
+from vislam.filters.parts import PAPER, Parts
+from vislam.filters.records import MAP, POSE, Augment, Drop, Linear, Record, diagonal_blocks
 from vislam.filters.roster import Retired, slots_of
 from vislam.filters.tape import Tape
 from vislam.gaussian import reuse_freed_memory
