@@ -53,11 +53,12 @@ def keep_the_known_map(factory: Factory, drive: ShortDrive | None = None) -> Che
         noise = replace(noise, sigma_px=np.full(4, PIXEL_SIGMA))
     task = replace(feed.task, prior=prior, noise=noise, gate=None)
     start, *calls = trace(factory, replace(feed, task=task))
-    if not len(start.belief.ids):
+    held = np.intersect1d(start.belief.ids, truth.ids)
+    if not len(held):
         raise NotApplicable("the filter holds no known map")
     worst_m, where = 0.0, "start"
     for call in calls:
-        known = np.isin(call.belief.ids, start.belief.ids)
+        known = np.isin(call.belief.ids, held)
         places = np.searchsorted(truth.ids, call.belief.ids[known])
         apart_m = np.linalg.norm(call.belief.landmarks[known] - truth.landmarks[places], axis=-1)
         moved_m = float(np.nan_to_num(apart_m, nan=np.inf).max(initial=0.0))

@@ -76,7 +76,7 @@ def test_filters_can_be_named_in_the_ini_file_and_each_is_taken_once(run, pytest
 
 def test_suite_runs_beside_the_users_own_tests(run, pytester):
     pytester.makepyfile("def test_own(): pass")
-    result = run("--simbench-filter", "slam", "-k", "own or run-twice")
+    result = run("--simbench-filter", "slam", "-k", "test_own or run-twice")
     result.assert_outcomes(passed=2, deselected=ITEMS - 1)
 
 
