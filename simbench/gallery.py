@@ -37,9 +37,9 @@ def figure8() -> Figure:
 
 
 def drive() -> Figure:
-    """Dead reckoning and SLAM on a street."""
+    """Dead reckoning and SLAM on a street, with landmarks in metres and along inverse depth."""
     dataset = simulate(load(SCENES / "drive.yaml"))
-    names = ("dead-reckoning", "slam")
+    names = ("dead-reckoning", "slam", "slam-inverse-depth")
     return figures.trajectories([run(dataset, resolve(name), name=name) for name in names])
 
 
