@@ -13,7 +13,7 @@ from typing import IO
 
 import numpy as np
 
-from vislam.filters.backward import Past
+from vislam.filters.backward import Kept, Past
 
 
 class Tape:
@@ -28,7 +28,9 @@ class Tape:
         self._pieces: list[int] = []
 
     def append(self, past: Past) -> None:
-        """Put it at the end."""
+        """Put it at the end; what comes before the first state that was kept leads nowhere."""
+        if not (self._held or self._pieces or isinstance(past, Kept)):
+            return
         self._held.append(past)
         arrays = (getattr(past, field.name) for field in fields(past))
         self._held_bytes += sum(a.nbytes for a in arrays if isinstance(a, np.ndarray))
