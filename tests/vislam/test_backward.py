@@ -110,7 +110,7 @@ def test_a_stream_without_a_backward_pass_holds_what_lives_and_nothing_else():
 
 def test_records_that_went_to_a_file_give_the_same_map():
     d = drive(np.random.default_rng(0).random((9, 6)) < 0.5, gate=0.9)
-    held, spooled = EkfSlam(d.task), EkfSlam(replace(d.task, memory_bytes=5_000))
+    held, spooled = EkfSlam(d.task), EkfSlam(replace(d.task, memory_bytes=2_000))
     d.feed(held)
     d.feed(spooled)
     assert len(spooled._past._pieces) > 3
