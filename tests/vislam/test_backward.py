@@ -109,8 +109,9 @@ def test_a_stream_without_a_backward_pass_holds_what_lives_and_nothing_else():
 
 
 def test_records_that_went_to_a_file_give_the_same_map():
-    d = drive(np.random.default_rng(0).random((9, 6)) < 0.5, gate=0.9)
-    held, spooled = EkfSlam(d.task), EkfSlam(replace(d.task, memory_bytes=2_000))
+    frame, landmark = np.ogrid[:24, :10]  # each is seen in four frames, two before the next
+    d = drive((frame >= 2 * landmark) & (frame < 2 * landmark + 4), gate=0.9)
+    held, spooled = EkfSlam(d.task), EkfSlam(replace(d.task, memory_bytes=5_000))
     d.feed(held)
     d.feed(spooled)
     assert len(spooled._past._pieces) > 3
