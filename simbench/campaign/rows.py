@@ -14,7 +14,7 @@ from simbench.checks.montecarlo import DIVERGED
 from simbench.dataset import Dataset
 from simbench.errors import FilterFailure, InputError
 from simbench.filters import resolve
-from simbench.metrics import ate, metrics, nees, nis, pose_nees
+from simbench.metrics import POSE_ERRORS, ate, metrics, nees, nis, pose_nees
 from simbench.run import RunRecord, run
 from simbench.scenario import Scenario
 from simbench.sensors import simulate
@@ -24,15 +24,7 @@ Row: TypeAlias = dict[str, Any]
 
 IDENTITY = ("scenario", "overrides", "case", "filter", "seed", "run", "code", "status", "reason")
 CONSISTENCY = ("diverged", "pose_nees_end", "nis", "nis_dof")
-_OF_POSES = (
-    "ate_rmse_m",
-    "ate_rmse_aligned_m",
-    "rpe_trans_rmse_m",
-    "rpe_rot_rmse_deg",
-    "final_position_error_m",
-    "final_rotation_error_deg",
-    "pose_nees_mean",
-)
+_OF_POSES = (*POSE_ERRORS, "pose_nees_mean")
 #: Of `simbench.metrics.metrics`, those that are equal on every machine.
 METRICS = (
     "frames",

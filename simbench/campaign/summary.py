@@ -21,7 +21,7 @@ from scipy.special import stdtrit
 
 from simbench.bugs.power import CONFIDENCE, Share
 from simbench.campaign.rows import Row
-from simbench.metrics import chi_square_band
+from simbench.metrics import POSE_ERRORS, chi_square_band
 from vislam.arrays import Array
 
 #: JSON-safe; `simbench.campaign` says what is in it.
@@ -30,15 +30,7 @@ Summary: TypeAlias = dict[str, Any]
 #: Runs of a case and filter that are kept for what needs them all at once.
 MOST_RANKED = 10_000
 #: Errors, of which smaller is better: what filters are compared by.
-ERRORS = (
-    "ate_rmse_m",
-    "ate_rmse_aligned_m",
-    "rpe_trans_rmse_m",
-    "rpe_rot_rmse_deg",
-    "final_position_error_m",
-    "final_rotation_error_deg",
-    "landmark_rmse_m",
-)
+ERRORS = (*POSE_ERRORS, "landmark_rmse_m")
 #: What means are given of.
 SUMMARISED = (*ERRORS, "pose_nees_mean", "landmark_nees_mean", "nis_mean_per_dof", "wall_s")
 DIVERGED_MEANS = (

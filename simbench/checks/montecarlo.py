@@ -23,7 +23,16 @@ from simbench.dataset import Dataset, Truth
 from simbench.driving import Watch, checked, error_of
 from simbench.errors import FilterFailure, InputError
 from simbench.filters import resolve
-from simbench.metrics import RANK_TOLERANCE, ate, metrics, nees, nis, rmse, whiteness
+from simbench.metrics import (
+    POSE_ERRORS,
+    RANK_TOLERANCE,
+    ate,
+    metrics,
+    nees,
+    nis,
+    rmse,
+    whiteness,
+)
 from simbench.rng import stream
 from simbench.run import RunRecord, Step, run
 from simbench.scenario import Scenario
@@ -261,16 +270,7 @@ def _innovations(record: RunRecord) -> Innovations | None:
 def _figures(record: RunRecord) -> dict[str, float | None]:
     """Of accuracy; there is no null for them, so they are reported and not judged."""
     known = metrics(record)
-    names = (
-        "ate_rmse_m",
-        "ate_rmse_aligned_m",
-        "rpe_trans_rmse_m",
-        "rpe_rot_rmse_deg",
-        "final_position_error_m",
-        "final_rotation_error_deg",
-        "landmark_rmse_m",
-    )
-    figures = {name: known[name] for name in names}
+    figures = {name: known[name] for name in (*POSE_ERRORS, "landmark_rmse_m")}
     yaw = ate(record.T_world_imu, _truth(record.dataset).T_world_imu, "yaw")
     figures["ate_rmse_yaw_aligned_m"] = rmse(yaw.translation_m)
     errors, covariances = record.pose_errors, record.pose_covariances

@@ -11,10 +11,11 @@ from simbench.metrics.consistency import (
     pose_nees,
     whiteness,
 )
-from simbench.metrics.table import Metrics, metrics
+from simbench.metrics.table import POSE_ERRORS, Metrics, metrics
 from simbench.metrics.trajectory import Alignment, PoseErrors, align, ate, path_length, rmse, rpe
 
 __all__ = [
+    "POSE_ERRORS",
     "RANK_TOLERANCE",
     "Alignment",
     "LandmarkErrors",

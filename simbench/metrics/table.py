@@ -13,6 +13,17 @@ from vislam.arrays import Array
 Metrics: TypeAlias = dict[str, str | int | float | None]
 
 
+#: How far the poses are from the truth: of these, smaller is better.
+POSE_ERRORS = (
+    "ate_rmse_m",
+    "ate_rmse_aligned_m",
+    "rpe_trans_rmse_m",
+    "rpe_rot_rmse_deg",
+    "final_position_error_m",
+    "final_rotation_error_deg",
+)
+
+
 def metrics(record: RunRecord) -> Metrics:
     """All that `metrics.json` holds of a run.
 
@@ -46,15 +57,7 @@ def metrics(record: RunRecord) -> Metrics:
 
 
 def _pose_metrics(record: RunRecord | None) -> Metrics:
-    names = (
-        "ate_rmse_m",
-        "ate_rmse_aligned_m",
-        "rpe_trans_rmse_m",
-        "rpe_rot_rmse_deg",
-        "final_position_error_m",
-        "final_rotation_error_deg",
-        "pose_nees_mean",
-    )
+    names = (*POSE_ERRORS, "pose_nees_mean")
     truth = None if record is None else record.dataset.truth
     if record is None or truth is None:
         return dict.fromkeys(names)
