@@ -1,6 +1,6 @@
 """Filters side by side: tables of a summary for a terminal, a README or a paper."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
@@ -13,6 +13,7 @@ from simbench.errors import InputError
 MEANS = MappingProxyType(
     {
         "ate_rmse_m": "ATE, m",
+        "smoothed_ate_rmse_m": "smoothed ATE, m",
         "final_position_error_m": "final, m",
         "final_rotation_error_deg": "final, deg",
         "landmark_rmse_m": "map, m",
@@ -63,11 +64,14 @@ def tables(summary: Summary) -> list[Table]:
 def _groups(summary: Summary) -> Table:
     confidence = f"{100 * summary['confidence']:g} %"
     scenes = _Scenes(summary)
-    head = ("filter", "runs", "lost", "diverged, %", *MEANS.values(), "NEES", "NIS")
+    smoothed = any(group["metrics"]["smoothed_ate_rmse_m"] for group in summary["groups"])
+    means = [name for name in MEANS if smoothed or name != "smoothed_ate_rmse_m"]
+    heads = (MEANS[name] for name in means)
+    head = ("filter", "runs", "lost", "diverged, %", *heads, "NEES", "NIS")
     return Table(
         title=f"{scenes.common}: means over the runs, with intervals at {confidence}",
         head=(*scenes.head, *head),
-        rows=tuple((*scenes.cells(group), *_group(group)) for group in summary["groups"]),
+        rows=tuple((*scenes.cells(group), *_group(group, means)) for group in summary["groups"]),
         notes=(
             "lost: the filter raised, its process died, or it was out of time.",
             f"diverged: {summary['diverged_means']}.",
@@ -78,14 +82,14 @@ def _groups(summary: Summary) -> Table:
     )
 
 
-def _group(group: Summary) -> tuple[str, ...]:
+def _group(group: Summary, means: Iterable[str]) -> tuple[str, ...]:
     diverged = group["diverged"]
     return (
         group["filter"],
         str(group["runs"]),
         str(group["failed"] + group["hung"]),
         "-" if diverged is None else _between(diverged, "share", 100),
-        *(_mean(group["metrics"][name]) for name in MEANS),
+        *(_mean(group["metrics"][name]) for name in means),
         *(_banded(group[name]) for name in ("nees", "nis")),
     )
 

@@ -165,20 +165,33 @@ def replacing(path: Path) -> Iterator[Path]:
 @contextmanager
 def _locked(path: Path) -> Iterator[None]:
     """Hold the lock on a file, new or left behind; the kernel lifts it when a process ends."""
-    if fcntl is None:
+    if fcntl is None:  # Windows, where an open file could not get its final name either
         yield
         return
     while True:
         with path.open("ab") as file:
-            try:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                raise
-            except OSError:
-                pass  # a file system without locks
+            lock(file)
             if _is_at(path, file):
                 yield
                 return
+
+
+def lock(file: IO[bytes]) -> None:
+    """Lock an open file against other processes, until it is closed.
+
+    Nothing happens where the file system or the operating system has no locks.
+
+    Raises:
+        BlockingIOError: another process holds the lock.
+    """
+    if fcntl is None:
+        return
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        raise
+    except OSError:
+        pass  # a file system without locks
 
 
 def _is_at(path: Path, file: IO[bytes]) -> bool:

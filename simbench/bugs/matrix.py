@@ -56,6 +56,7 @@ class Cell:
         statistic: of the check that decided, the power at 20 runs, or the median ratio of the ATE
             to the base's; None where there is none.
         reason: in the check's words; empty where nothing was found.
+        runs: of the bug's filter that this rests on; 0 where one run tells.
         powers: for each of `simbench.bugs.power.SIZES`; empty where one run tells.
         ratio: of the ATE, in its own column.
     """
@@ -63,6 +64,7 @@ class Cell:
     caught: bool
     statistic: float | None = None
     reason: str = ""
+    runs: int = 0
     powers: tuple[Share, ...] = ()
     ratio: Ratio | None = None
 
@@ -75,6 +77,8 @@ class Cell:
             "statistic": value if finite else None,
             "reason": self.reason,
         }
+        if self.runs:
+            values["runs"] = self.runs
         if self.powers:
             values["powers"] = [share.as_json() for share in self.powers]
         if self.ratio is not None:
@@ -114,8 +118,8 @@ def matrix(names: Iterable[str] = BUGS, jobs: int = -1, runs: int = 0) -> Matrix
         )
         for name, cells in found.items():
             bug, base = f"slam+{name}", BUGS[name].base
-            cells |= _chance_cells(powers[bug])
-            cells["ate"] = _ate_cell(power.ate_ratio(summaries[bug], summaries[base]))
+            cells |= _chance_cells(powers[bug], runs)
+            cells["ate"] = _ate_cell(power.ate_ratio(summaries[bug], summaries[base]), runs)
     return found
 
 
@@ -188,12 +192,14 @@ def _by_chance(
     return summaries, power.powers(summaries)
 
 
-def _chance_cells(powers: Mapping[str, tuple[Share, ...]]) -> dict[str, Cell]:
+def _chance_cells(powers: Mapping[str, tuple[Share, ...]], runs: int) -> dict[str, Cell]:
     return {
-        column: Cell(caught=shares[-1].value >= RELIABLE, statistic=shares[-1].value, powers=shares)
+        column: Cell(caught=value >= RELIABLE, statistic=value, runs=runs, powers=shares)
         for column, shares in powers.items()
+        for value in [shares[-1].value]
     }
 
 
-def _ate_cell(ratio: Ratio | None) -> Cell:
-    return Cell(caught=False, statistic=None if ratio is None else ratio.median, ratio=ratio)
+def _ate_cell(ratio: Ratio | None, runs: int) -> Cell:
+    median = None if ratio is None else ratio.median
+    return Cell(caught=False, statistic=median, runs=runs, ratio=ratio)

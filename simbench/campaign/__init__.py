@@ -12,6 +12,7 @@ seed: 7                             # default: each scenario's own
 sweep:                              # keys as --set takes them; a mapping is a grid: every
   imu.velocity.sigma: [0.2, 0.4]    # combination of its values. A list of mappings is one grid
   camera.sigma_px: 0.5              # after another, so single points too.
+smooth: true                        # past poses given all data, too; default: false
 checks: [exact-audit]               # of `simbench list checks`, once for each filter
 outputs: [parquet, series]          # beside the CSV, which is always there
 time_limit_s: 600.0                 # for one filter on one run
@@ -28,7 +29,8 @@ equal bytes but for the columns `wall_*`. The columns:
 - `case`: twelve hex digits, the fingerprint of the scenario with its overrides; it lies in
   `OUT/scenes/CASE.yaml`, whole.
 - `filter`, `seed`, `run`: with the case they make the row again:
-  `simbench run OUT/scenes/CASE.yaml --filter FILTER --seed SEED --run RUN`.
+  `simbench run OUT/scenes/CASE.yaml --filter FILTER --seed SEED --run RUN`, with `--smooth`
+  where the columns `smoothed_*` are filled.
 - `code`: twelve hex digits, the fingerprint of the sources of simbench, vislam and the filter.
 - `status`: `done`, `failed` (the filter raised, or its process died) or `hung` (beyond the time
   limit); `reason`: why it failed or hung, else empty.
@@ -37,7 +39,8 @@ equal bytes but for the columns `wall_*`. The columns:
 - `pose_nees_end`: NEES of the pose after the last frame, 6 degrees of freedom (at one instant, so
   that over the runs it has a band); empty where infinite.
 - `nis`, `nis_dof`: the sum of NIS over the run, and its degrees of freedom.
-- `frames` to `skipped_features`: all numbers of `simbench.metrics.metrics`, by their names.
+- `frames` to `skipped_features`: all numbers of `simbench.metrics.metrics`, by their names;
+  `smoothed_*` are of the past poses given all data, in a study with `smooth: true`.
 - `wall_s`, `wall_realtime_factor`: of the filter's own calls; those two differ between machines.
 
 `series.csv` (output `series`): `scenario`, `overrides`, `case`, `filter`, `seed` and `run` of a
@@ -67,7 +70,8 @@ number does not apply, intervals at `confidence`:
 `study.yaml`: the study, whole with its scenes; `simbench campaign OUT/study.yaml` makes all again.
 
 `journal.jsonl`: a line for each row as it was finished. An interrupted campaign goes on from it; a
-row is run where no line has its case, filter, seed, run and code. Delete it to run all again.
+row is run where no line has its case, filter, seed, run, smooth and code. Delete it to run all
+again. One campaign at a time writes to OUT.
 """
 
 from typing import TYPE_CHECKING, Any

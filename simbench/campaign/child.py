@@ -1,4 +1,4 @@
-"""The process in which filters run: ``python -P -m simbench.campaign.child LOG``.
+"""The process in which filters run, whose one argument is LOG.
 
 Reads pickled work from standard input, writes pickled rows to standard output and None behind
 those of one piece of work. What the filters print goes to standard error. Where a row takes longer
@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from simbench.campaign.rows import Work
+from simbench.limits import limited_to
 
 
 def main() -> None:
@@ -29,10 +30,11 @@ def main() -> None:
         while True:
             work: Work = pickle.load(sys.stdin.buffer)
             faulthandler.dump_traceback_later(work.time_limit_s, exit=True, file=log)
-            for row in work.rows():
-                faulthandler.cancel_dump_traceback_later()
-                _send(row, answers)
-                faulthandler.dump_traceback_later(work.time_limit_s, exit=True, file=log)
+            with limited_to(work.limit_bytes):
+                for row in work.rows():
+                    faulthandler.cancel_dump_traceback_later()
+                    _send(row, answers)
+                    faulthandler.dump_traceback_later(work.time_limit_s, exit=True, file=log)
             faulthandler.cancel_dump_traceback_later()
             _send(None, answers)
 
@@ -40,7 +42,3 @@ def main() -> None:
 def _send(answer: object, answers: BinaryIO) -> None:
     pickle.dump(answer, answers)
     answers.flush()
-
-
-if __name__ == "__main__":
-    main()

@@ -23,6 +23,8 @@ from simbench.campaign import code
 from simbench.campaign.rows import Row, Work
 from simbench.errors import InputError
 
+#: Finds modules where this process does, so that the code is the same.
+_SERVE = "import sys; sys.path[:] = {}; from simbench.campaign.child import main; main()"
 _ONE_THREAD = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 
@@ -54,7 +56,7 @@ class Child:
         self._directory = TemporaryDirectory(prefix="simbench-", ignore_cleanup_errors=True)
         self._log = Path(self._directory.name) / "log"
         self._process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "simbench.campaign.child", str(self._log)],
+            [sys.executable, "-P", "-c", _SERVE.format(sys.path), str(self._log)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             env=os.environ | _ONE_THREAD,

@@ -27,6 +27,7 @@ from simbench.campaign.rows import Checks, Row, Runs
 from simbench.campaign.study import Plan
 from simbench.campaign.summary import Summary, summarise
 from simbench.files import replacing
+from simbench.limits import limit_bytes
 
 #: The time that a task should take: long against what it costs to send, short against the whole.
 TASK_S = 2.0
@@ -62,12 +63,12 @@ def campaign(
     """
     study = plan.study
     check_outputs(study.outputs)
-    _write(out / "study.yaml", plan.to_yaml())
-    for case in plan.cases:
-        _write(out / "scenes" / f"{case.fingerprint}.yaml", case.scenario.to_yaml())
     work = _Unfinished(plan)
     checked: list[Row] = []
     with Journal(out / NAME, work.heads, study.runs) as journal:
+        _write(out / "study.yaml", plan.to_yaml())
+        for case in plan.cases:
+            _write(out / "scenes" / f"{case.fingerprint}.yaml", case.scenario.to_yaml())
         on_progress(len(journal) - journal.missing, len(journal))
         if journal.missing or study.checks:
             with opened(backend, scheduler, jobs) as workers:
@@ -106,12 +107,18 @@ class _Unfinished:
                 "case": case.fingerprint,
                 "filter": name,
                 "seed": case.seed,
+                "smooth": self._study.smooth,
                 "code": codes[name],
             }
             for case in plan.cases
             for name in self._study.filters
         ]
         self.seconds: dict[int, float] = {}
+        self._shared: dict[str, Any] = {
+            "time_limit_s": plan.study.time_limit_s,
+            "limit_bytes": limit_bytes(),
+            "code": code.packages(),
+        }
 
     def whole(self, case: int, row: Row) -> Row:
         """A row with its head."""
@@ -125,10 +132,9 @@ class _Unfinished:
 
     def checks(self) -> Iterator[Checks]:
         """A task for each check of each filter."""
-        limit_s = self._study.time_limit_s
         for name in self._study.filters:
             for check in self._study.checks:
-                yield Checks(todo=((check, name),), time_limit_s=limit_s, code=code.packages())
+                yield Checks(todo=((check, name),), **self._shared)
 
     def runs(self, journal: Journal, workers: int) -> Iterator[Runs]:
         """Tasks of some `TASK_S` each: of one run, until it is known how long a row takes."""
@@ -140,9 +146,9 @@ class _Unfinished:
                     scenario=case.scenario,
                     seed=case.seed,
                     todo=tuple(item for items in some for item in items),
+                    smooth=self._study.smooth,
                     series="series" in self._study.outputs,
-                    time_limit_s=self._study.time_limit_s,
-                    code=code.packages(),
+                    **self._shared,
                 )
 
     def _runs(self, case: int, journal: Journal) -> Iterator[list[tuple[int, str]]]:

@@ -1,7 +1,8 @@
 """The journal of a campaign: every row as it is finished, so that none is made twice.
 
 A line is one row as JSON. Lines are appended and synced a task at a time; where the last is torn,
-it is dropped. In memory there are eight bytes a row: where its line begins.
+it is dropped. It is locked while it is open, so that one campaign alone writes to a directory. In
+memory there are eight bytes a row: where its line begins.
 """
 
 import json
@@ -13,6 +14,7 @@ from typing import Any, Self
 
 from simbench.campaign.rows import Row
 from simbench.errors import InputError, OutputError
+from simbench.files import lock
 
 NAME = "journal.jsonl"
 
@@ -24,15 +26,30 @@ class Journal:
         path: the file; rows that it holds are taken over.
         groups: what the rows of a case and filter share, in order.
         runs: of each group.
+
+    Attributes:
+        missing: how many rows are not there.
+
+    Raises:
+        InputError: the file is no journal.
+        OutputError: it cannot be written, or another campaign is writing it.
     """
 
     def __init__(self, path: Path, groups: Iterable[Mapping[str, Any]], runs: int) -> None:
         self._groups = {_key(group): i for i, group in enumerate(groups)}
         self._runs = runs
         self._starts = array("q", [-1]) * (len(self._groups) * runs)
+        self.missing = len(self._starts)
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._file = path.open("a+b")
+            lock(self._file)
+        except BlockingIOError as error:
+            self._file.close()
+            raise OutputError(
+                f"Cannot write {path}: another campaign is writing it. Wait for it, or choose "
+                "another --out."
+            ) from error
         except OSError as error:
             raise OutputError(f"Cannot write {path}: {error.strerror or error}.") from error
         self._path = path
@@ -62,17 +79,14 @@ class Journal:
     def _note(self, row: Row, start: int) -> None:
         group = self._groups.get(_key(row))
         if group is not None and 0 <= row["run"] < self._runs:
-            self._starts[group * self._runs + row["run"]] = start
+            place = group * self._runs + row["run"]
+            self.missing -= self._starts[place] < 0
+            self._starts[place] = start
 
     def __contains__(self, place: tuple[int, int]) -> bool:
         """Whether the row of a group and run is there."""
         group, run = place
         return self._starts[group * self._runs + run] >= 0
-
-    @property
-    def missing(self) -> int:
-        """How many rows are not there."""
-        return self._starts.count(-1)
 
     def __len__(self) -> int:
         """How many rows the campaign has."""
@@ -108,7 +122,7 @@ class Journal:
 
 def _key(row: Mapping[str, Any]) -> tuple[Any, ...]:
     """What a row's numbers depend on, beside the run."""
-    return row["case"], row["filter"], row["seed"], row["code"]
+    return row["case"], row["filter"], row["seed"], row.get("smooth"), row["code"]
 
 
 def in_order(journal: Journal, cases: int, filters: int, runs: int) -> Iterator[Row]:

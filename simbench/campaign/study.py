@@ -38,6 +38,8 @@ class Study(Section):
     seed: Annotated[Integer, Field(ge=0, lt=2**63)] | None = None
     """Default: each scenario's own."""
     sweep: Annotated[tuple[dict[str, tuple[Any, ...]], ...], Field(min_length=1)] = ({},)
+    smooth: Annotated[bool, Field(strict=True)] = False
+    """Whether the past poses are wanted given all data, too."""
     checks: tuple[Text, ...] = ()
     outputs: tuple[Literal["parquet", "series"], ...] = ()
     time_limit_s: Positive = 600.0

@@ -30,9 +30,16 @@ Summary: TypeAlias = dict[str, Any]
 #: Runs of a case and filter that are kept for what needs them all at once.
 MOST_RANKED = 10_000
 #: Errors, of which smaller is better: what filters are compared by.
-ERRORS = (*POSE_ERRORS, "landmark_rmse_m")
+ERRORS = (*POSE_ERRORS, "landmark_rmse_m", *(f"smoothed_{name}" for name in POSE_ERRORS))
 #: What means are given of.
-SUMMARISED = (*ERRORS, "pose_nees_mean", "landmark_nees_mean", "nis_mean_per_dof", "wall_s")
+SUMMARISED = (
+    *ERRORS,
+    "pose_nees_mean",
+    "smoothed_pose_nees_mean",
+    "landmark_nees_mean",
+    "nis_mean_per_dof",
+    "wall_s",
+)
 DIVERGED_MEANS = (
     "NEES of the pose at the end is above what it is in one run of a million of a right filter, "
     "or infinite"

@@ -24,6 +24,7 @@ from simbench.driving import Watch, checked, error_of
 from simbench.errors import FilterFailure, InputError
 from simbench.filters import resolve
 from simbench.metrics import (
+    DIVERGED,
     POSE_ERRORS,
     RANK_TOLERANCE,
     ate,
@@ -49,8 +50,6 @@ LAGS = 5
 AGES: Mapping[str, tuple[int, float]] = {"newborn": (0, 0), "young": (1, 9), "old": (10, np.inf)}
 #: A position within its own ellipsoid of this probability is no surprise.
 SETTLED = 0.999
-#: A pose has diverged where fewer right runs than this share have such a NEES.
-DIVERGED = 1e-6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,6 +1,7 @@
 """Numbers of a run: errors against the truth, consistency, and the table of `metrics.json`."""
 
 from simbench.metrics.consistency import (
+    DIVERGED,
     RANK_TOLERANCE,
     LandmarkErrors,
     Whiteness,
@@ -15,6 +16,7 @@ from simbench.metrics.table import POSE_ERRORS, Metrics, metrics
 from simbench.metrics.trajectory import Alignment, PoseErrors, align, ate, path_length, rmse, rpe
 
 __all__ = [
+    "DIVERGED",
     "POSE_ERRORS",
     "RANK_TOLERANCE",
     "Alignment",

@@ -21,6 +21,8 @@ from vislam.types import Innovation
 
 #: An eigenvalue below this share of the largest is rounding: the direction has no variance.
 RANK_TOLERANCE = 1e-12
+#: A pose has diverged where fewer right runs than this share have such a NEES.
+DIVERGED = 1e-6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

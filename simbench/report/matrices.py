@@ -23,7 +23,8 @@ def matrix(saved: SavedMatrix) -> Section:
         for bug, columns in wrong.items()
         if columns
     )
-    by_chance = any(cell.powers for row in saved.values() for cell in row.values())
+    shares = [power for row in saved.values() for cell in row.values() for power in cell.powers]
+    runs = max((power.runs * power.groups for power in shares), default=0)
     mistakes = [bug for bug in saved if bug not in BUGS or not BUGS[bug].control]
     caught = sum(any(cell.caught for cell in saved[bug].values()) for bug in mistakes)
     rest = (
@@ -36,11 +37,12 @@ def matrix(saved: SavedMatrix) -> Section:
         title="which check catches which mistake",
         passed=not findings,
         verdict=f"{caught} of {len(mistakes)} mistakes are caught; {rest}",
-        again=(command("bugs", "--matrix", *([] if by_chance else ["--fast"])),),
+        again=(command("bugs", "--matrix", *(("--runs", str(runs)) if runs else ("--fast",))),),
         facts={
             "mistakes": str(len(mistakes)),
             "controls": str(len(saved) - len(mistakes)),
             "checks": str(len(_columns(saved))),
+            **({"runs": str(runs)} if runs else {}),
         },
         findings=findings,
         blocks=tuple(_matrix_blocks(saved)),

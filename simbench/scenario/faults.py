@@ -19,6 +19,7 @@ _EXPECTED = {
     "float_type": "a number",
     "int_type": "a whole number",
     "int_from_float": "a whole number",
+    "bool_type": "true or false",
     "string_type": "text",
     "tuple_type": "a list",
     "too_short": "a list of at least {min_length}",

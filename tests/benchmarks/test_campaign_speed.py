@@ -5,6 +5,8 @@
 
 import os
 import time
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
@@ -29,11 +31,24 @@ def seconds(function, *arguments):
     return time.perf_counter() - begin, sum(os.times()[:4]) - before, value
 
 
-def plain_loop(scenario, runs):
+def plain_loop(scenario, numbers):
     return [
         metrics(run(simulate(scenario, run=number), resolve("slam")))["ate_rmse_m"]
-        for number in range(runs)
+        for number in numbers
     ]
+
+
+def rate(scenario, numbers):
+    """Runs per second of a plain loop in this process, once all is imported."""
+    plain_loop(scenario, numbers[:1])
+    return len(numbers) / seconds(plain_loop, scenario, numbers)[0]
+
+
+def rate_of_two_at_once(scenario, numbers):
+    """Runs per second of two plain loops, each in a process of its own."""
+    spawn = get_context("spawn")
+    with ProcessPoolExecutor(2, spawn, initializer=spawn.Barrier(2).wait) as pool:
+        return sum(pool.map(rate, [scenario] * 2, [numbers[::2], numbers[1::2]]))
 
 
 def readings(dataset):
@@ -57,20 +72,39 @@ def readings(dataset):
 
 @pytest.mark.slow
 @pytest.mark.skipif(cpu_count() < 2, reason="needs two cores")
-def test_a_campaign_on_two_cores_against_a_plain_loop(benchmark, tmp_path):
+def test_a_campaign_on_two_cores_against_a_plain_loop(benchmark, report, tmp_path):
+    """Above 1.8 times the rate of the loop, where two cores do twice the work of one.
+
+    Often they do not: they share caches and heat. Then above 0.9 of the machine's own ceiling, what
+    two plain loops do at once in two processes. The loops are half before the campaign and half
+    behind it, since machines drift.
+    """
     plan = load(FIGURE8, (), {"runs": RUNS})
-    loop_s, loop_cpu_s, alone = seconds(plain_loop, plan.cases[0].scenario, RUNS)
+    scenario, half = plan.cases[0].scenario, RUNS // 2
+    plain_loop(scenario, range(1))
+    before_s, before_cpu_s, first = seconds(plain_loop, scenario, range(half))
+    two = [rate_of_two_at_once(scenario, range(half))]
 
     def conduct():
         return campaign(plan, tmp_path / "out", jobs=2)
 
     together_s, cpu_s, summary = seconds(lambda: benchmark.pedantic(conduct, rounds=1))
-    assert summary["groups"][0]["metrics"]["ate_rmse_m"]["mean"] == pytest.approx(np.mean(alone))
-    benchmark.extra_info["runs_per_second"] = RUNS / together_s
-    benchmark.extra_info["times_faster_than_a_loop"] = loop_s / together_s
-    benchmark.extra_info["processor_time_of_a_loop"] = cpu_s / loop_cpu_s
+    two.append(rate_of_two_at_once(scenario, range(half, RUNS)))
+    behind_s, behind_cpu_s, last = seconds(plain_loop, scenario, range(half, RUNS))
+    mean = np.mean(first + last)
+    assert summary["groups"][0]["metrics"]["ate_rmse_m"]["mean"] == pytest.approx(mean)
+    loop_s, loop_cpu_s = before_s + behind_s, before_cpu_s + behind_cpu_s
+    ceiling, ratio = np.mean(two) * loop_s / RUNS, loop_s / together_s
+    figures = {
+        "runs_per_second": RUNS / together_s,
+        "times_faster_than_a_loop": ratio,
+        "two_loops_at_once": ceiling,
+        "processor_time_of_a_loop": cpu_s / loop_cpu_s,
+    }
+    benchmark.extra_info |= figures
+    report(f"A campaign of {RUNS} runs on two cores", figures, [figures.values()])
     if benchmark.stats is not None:
-        assert loop_s / together_s > 1.8
+        assert ratio > 0.9 * min(ceiling, 2.0)
 
 
 @pytest.mark.slow
@@ -81,7 +115,7 @@ def test_a_run_against_filterpy_in_a_plain_loop(benchmark):
     ours = metrics(run(data, resolve("slam")))["ate_rmse_m"]
     theirs = rmse(ate(poses, data.truth.T_world_imu).translation_m)
     assert theirs == pytest.approx(ours, rel=0.01)
-    benchmark.pedantic(plain_loop, (scenario, 1), rounds=3, warmup_rounds=1)
+    benchmark.pedantic(plain_loop, (scenario, range(1)), rounds=3, warmup_rounds=1)
     if benchmark.stats is not None:
         ratio = theirs_s / benchmark.stats.stats.median
         benchmark.extra_info["times_faster_than_filterpy"] = ratio

@@ -18,10 +18,11 @@ from simbench.campaign.journal import Journal
 from simbench.campaign.results import read
 from simbench.campaign.rows import COLUMNS, METRICS, SERIES, WALL, Runs
 from simbench.cli import main
-from simbench.errors import InputError
+from simbench.errors import InputError, OutputError
 from simbench.filters import resolve
+from simbench.limits import limit_bytes, limited_to
 from simbench.metrics import ate, metrics, nis, pose_nees
-from simbench.run import run
+from simbench.run import RunOptions, run
 from simbench.scenario import load as load_scenario
 from simbench.sensors import simulate
 from tests.simbench.campaigns import FILTERS, STUDY, table
@@ -204,7 +205,9 @@ def test_a_worker_with_other_code_is_refused(study):
         case=0,
         scenario=case.scenario,
         seed=5,
+        smooth=False,
         series=False,
+        limit_bytes=limit_bytes(),
     )
     with pytest.raises(InputError, match="install the same version there"):
         perform(task)
@@ -255,6 +258,53 @@ def test_a_task_takes_its_time_and_leaves_enough_tasks(study, row_s, runs):
     assert todo[0] == (1, "slam")
     assert len(todo) == 2 * runs
     assert runs == 125 or len(todo) * row_s == pytest.approx(max(TASK_S, 2 * row_s))
+
+
+def test_a_second_campaign_in_one_directory_is_refused_and_harms_nothing(study):
+    out = Path("out")
+
+    def second(_done, _of):
+        before = {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
+        with pytest.raises(OutputError, match=r"journal.jsonl: another campaign is writing it"):
+            campaign(load(study, (), {"runs": 2}), out, jobs=1)
+        assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file()} == before
+
+    campaign(load(study, (), {"runs": 1}), out, jobs=1, on_progress=second)
+    assert len(table(out)) == 2 * 2
+
+
+def test_the_limit_reaches_the_processes_that_simulate(study):
+    plan = load(study, ["imu.velocity.sigma=0.1"], {"runs": 1})
+    with limited_to(1000):
+        campaign(plan, Path("low"), jobs=1)
+    assert {row["status"] for row in table(Path("low"))} == {"failed"}
+    assert all("above the limit of 1000 B" in row["reason"] for row in table(Path("low")))
+
+
+def test_the_processes_find_modules_where_the_campaign_does(study, tmp_path_factory, monkeypatch):
+    elsewhere = tmp_path_factory.mktemp("elsewhere")
+    (elsewhere / "far_away.py").write_text("from vislam.filters import EkfSlam as Slam\n")
+    monkeypatch.syspath_prepend(elsewhere)
+    campaign(load(study, (), {"filters": ["far_away:Slam"], "runs": 1}), Path("out"), jobs=1)
+    assert {row["status"] for row in table(Path("out"))} == {"done"}
+
+
+def test_a_study_that_smooths_has_the_numbers_of_the_smoothed_poses(study):
+    set_ = ["imu.velocity.sigma=0.1"]
+    campaign(load(study, set_, {"runs": 2}), out := Path("out"), jobs=1)
+    filtered = table(out)
+    assert {row["smoothed_ate_rmse_m"] for row in filtered} == {""}
+    study.write_text(STUDY + "smooth: true\n")
+    summary = campaign(load(study, set_, {"runs": 2}), out, jobs=1)
+    smoothed = [name for name in COLUMNS if name.startswith("smoothed_")]
+    for before, row in zip(filtered, table(out), strict=True):
+        data = simulate(load_scenario(out / "scenes" / f"{row['case']}.yaml"), 5, int(row["run"]))
+        known = metrics(run(data, resolve(row["filter"]), options=RunOptions(smooth=True)))
+        expected = {name: "" if known[name] is None else repr(known[name]) for name in METRICS}
+        assert row == before | expected
+    slam, dead_reckoning = summary["groups"]
+    assert all(slam["metrics"][name]["n"] == 2 for name in smoothed)
+    assert all(dead_reckoning["metrics"][name] is None for name in smoothed)
 
 
 def test_checks_of_a_study_are_made_once_for_each_filter(study, capfd):

@@ -110,6 +110,7 @@ def test_the_study_in_the_docstring_is_one(write):
     plan = load(path)
     assert len(plan.cases) == 2
     assert plan.study.outputs == ("parquet", "series")
+    assert plan.study.smooth
 
 
 @pytest.mark.parametrize(
@@ -162,6 +163,10 @@ def test_the_study_in_the_docstring_is_one(write):
         (
             "scenarios:\n  - rate_hz: 0\nruns: 2",
             "gyro.yaml:2: rate_hz: expected a number above 0, got 0",
+        ),
+        (
+            "scenarios: [room.yaml]\nsmooth: 1",
+            "gyro.yaml:2: smooth: expected true or false, got 1",
         ),
         ("scenarios: [room.yaml]\noutputs: [hdf5]", "gyro.yaml:2: outputs[0]: expected 'parquet'"),
         ("[1, 2]", "gyro.yaml:1: expected a mapping of sections, got [1, 2]"),

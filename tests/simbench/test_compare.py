@@ -237,6 +237,15 @@ def test_what_scenes_share_is_said_once_and_what_differs_is_a_column():
     ]
 
 
+def test_smoothed_errors_are_compared_where_there_are_some():
+    alike = [r | {"smoothed_ate_rmse_m": r["ate_rmse_m"]} for r in rows()]
+    groups, pairs = tables(summarise([("", alike)]))
+    column = groups.head.index("smoothed ATE, m")
+    assert [row[column] for row in groups.rows] == [row[column - 1] for row in groups.rows]
+    assert [row[2] for row in pairs.rows] == ["ate_rmse_m", "smoothed_ate_rmse_m"]
+    assert not any("smoothed" in head for head in tables(summarise([("", rows())]))[0].head)
+
+
 def test_a_table_for_a_terminal_is_aligned(summary):
     _, head, good, bad, *notes = FORMATS["text"](tables(summary)[0])
     assert head.split()[:3] == ["filter", "runs", "lost"]

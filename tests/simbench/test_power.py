@@ -217,6 +217,8 @@ def test_the_matrix_shows_power_and_ratio():
     assert dict(zip(header, line[1:], strict=True))["nis-vs-dt"] == mark(cells["nis-vs-dt"])
     values = json.loads(json.dumps({c: cell.as_json() for c, cell in cells.items()}))
     assert [p["runs"] for p in values["nis-vs-dt"]["powers"]] == list(SIZES)
+    by_chance = {column for column, value in values.items() if value.get("runs") == 100}
+    assert by_chance == {*power.COLUMNS, "ate"}
     assert values["ate"]["low"] <= values["ate"]["statistic"] <= values["ate"]["high"]
 
 

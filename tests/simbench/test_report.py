@@ -164,6 +164,7 @@ def test_a_missed_bug_fails_its_matrix(tmp_path):
     (section,) = sections(reports.written(tmp_path / "a.json", reports.matrix()))
     assert section.passed is False
     assert [f.names for f in section.findings] == [("pixel-noise-twice",)]
+    assert section.again == ("simbench bugs --matrix --runs 400",)
     caught = {"pixel-noise-twice": {"audit": {"caught": True, "statistic": 1.0, "reason": "x"}}}
     (section,) = sections(reports.written(tmp_path / "b.json", caught))
     assert section.passed is True
