@@ -98,9 +98,11 @@ class RunRecord:
         truth = self.dataset.truth
         if truth is None:
             return None
-        return np.stack(
-            [step.belief.pose_error(truth.T_world_imu[step.frame]) for step in self.steps]
-        )
+        true = truth.T_world_imu[[step.frame for step in self.steps]]
+        charts = [step.belief.chart for step in self.steps]
+        if isinstance(charts[0], str) and charts.count(charts[0]) == len(charts):
+            return Belief(T_world_imu=self.T_world_imu, chart=charts[0]).pose_error(true)
+        return np.stack([s.belief.pose_error(T) for s, T in zip(self.steps, true, strict=True)])
 
 
 def task_of(dataset: Dataset, options: RunOptions = RunOptions()) -> Task:

@@ -1,5 +1,7 @@
 """The loop that drives a filter: its order, its clock, and what it does with a bad filter."""
 
+from dataclasses import replace
+from itertools import cycle
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,6 +12,7 @@ from simbench.metrics import metrics
 from simbench.run import RunOptions, run
 from simbench.sensors import simulate
 from tests.simbench.scenes import RICH, scene
+from vislam.charts import CHARTS
 from vislam.filters import DeadReckoning, EkfSlam
 
 DATASET = simulate(scene(RICH, duration_s=1.0))
@@ -101,6 +104,23 @@ def test_past_poses_are_known_better_in_the_end_and_the_metrics_say_so():
     for step, smoothed in zip(record.steps, record.smoothed, strict=True):
         gained = step.belief.pose_covariance - smoothed.pose_covariance
         assert np.linalg.eigvalsh(gained).min() > -1e-12
+
+
+def one_at_a_time(*arrays):
+    assert arrays[0].shape == (4, 4)
+    return CHARTS["left"].error(*arrays)
+
+
+@pytest.mark.parametrize("charts", [*([name] for name in CHARTS), [*CHARTS], [one_at_a_time]])
+def test_pose_errors_are_those_of_each_belief_in_its_chart_to_the_last_bit(charts):
+    record = run(DATASET, DeadReckoning)
+    steps = tuple(
+        replace(step, belief=replace(step.belief, chart=chart))
+        for step, chart in zip(record.steps, cycle(charts), strict=False)
+    )
+    expected = [s.belief.pose_error(DATASET.truth.T_world_imu[s.frame]) for s in steps]
+    assert np.array_equal(replace(record, steps=steps).pose_errors, expected)
+    assert len({str(errors) for errors in expected}) > 1
 
 
 def test_nobody_who_did_not_ask_gets_past_poses():
