@@ -1,16 +1,16 @@
 """A campaign from a plan to its files.
 
 What a million runs cost, by measurement of the parts (figure8, one filter, a core with other work
-beside; a run takes 1 s of it, 0.1 s of that the simulation): 280 core hours. Beside that,
+beside; a run takes 0.6 s of it, 0.1 s of that the simulation): 170 core hours. Beside that,
 
-- a process costs 1.2 s once; a laptop's driver 0.5 % of the time of its one process;
+- a process costs 0.8 s once; a laptop's driver 0.3 % of the time of its one process;
 - a task is 2.2 kB (the scene, not its data), a row that comes back 0.34 kB: 1.4 GB in all;
 - a task of `TASK_S` costs a Dask scheduler 2.5 ms, a worker 2.4 ms and the driver 1.8 ms: 0.3 %;
-- a row costs the driver 0.08 ms and 1.1 kB for the journal, 0.04 ms and 0.4 kB for the table and
+- a row costs the driver 0.2 ms and 1.1 kB for the journal, 0.04 ms and 0.4 kB for the table and
   its summary, 8 bytes of memory, and 0.02 ms when an interrupted campaign goes on.
 
 So the scheduler is the limit, at about 400 tasks a second: with tasks of 2 s it keeps 800 cores
-busy. Beyond that `TASK_S` must grow; the driver's journal would follow at 12,000 rows a second.
+busy. Beyond that `TASK_S` must grow; the driver's journal would follow at 5,000 rows a second.
 """
 
 import json

@@ -144,18 +144,17 @@ def _read_csv(path: Path) -> Iterator[Row]:
 
 def _parsed(row: dict[str, str], where: str) -> Row:
     try:
-        return {
-            column: text
-            if column in _WORDS
-            else None
-            if text == ""
-            else int(text)
-            if column in _WHOLE
-            else float(text)
-            for column, text in row.items()
-        }
+        return {column: _value(column, text) for column, text in row.items()}
     except (ValueError, TypeError) as error:
         raise DatasetError(f"{where}: expected a row of {len(row)} values: {error}.") from error
+
+
+def _value(column: str, text: str) -> str | int | float | None:
+    if column in _WORDS:
+        return text
+    if text == "":
+        return None
+    return int(text) if column in _WHOLE else float(text)
 
 
 def _read_parquet(path: Path) -> Iterator[Row]:

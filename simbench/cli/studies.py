@@ -37,9 +37,7 @@ def campaign(
     from simbench.campaign import campaign as conduct
     from simbench.campaign import load
 
-    told = {key: list(v) if key == "filters" else v for key, v in changes.items() if v}
-    if changes["seed"] is not None:
-        told["seed"] = changes["seed"]
+    told = {key: value for key, value in changes.items() if value not in (None, ())}
     plan = load(study, overrides, told)
     try:
         with rows_progress(plan.study.name) as on_progress:
