@@ -70,8 +70,8 @@ number does not apply, intervals at `confidence`:
 `study.yaml`: the study, whole with its scenes; `simbench campaign OUT/study.yaml` makes all again.
 
 `journal.jsonl`: a line for each row as it was finished. An interrupted campaign goes on from it; a
-row is run where no line has its case, filter, seed, run, smooth and code. Delete it to run all
-again. One campaign at a time writes to OUT.
+row is run where no line has its case, filter, seed, run, smooth and code, or its scene could not
+be simulated. Delete it to run all again. One campaign at a time writes to OUT.
 """
 
 from typing import TYPE_CHECKING, Any

@@ -67,8 +67,10 @@ class Journal:
             if not line.endswith(b"\n"):
                 break
             try:
-                self._note(json.loads(line), end)
-            except (ValueError, KeyError, TypeError) as error:
+                row = json.loads(line)
+                if row.get("simulated", True):  # else it is cheap, and may go with another limit
+                    self._note(row, end)
+            except (ValueError, KeyError, TypeError, AttributeError) as error:
                 raise InputError(
                     f"{self._path}:{number}: expected a row of a campaign, got {line!r:.60}; "
                     "choose another --out, or delete the file to run all again."

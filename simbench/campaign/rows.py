@@ -103,9 +103,9 @@ class Runs(Work):
             return error
 
     def _outcome(self, dataset: Dataset | InputError, name: str) -> Row:
+        if isinstance(dataset, InputError):
+            return {"status": "failed", "reason": str(dataset), "simulated": False}
         try:
-            if isinstance(dataset, InputError):
-                raise dataset
             record = run(dataset, resolve(name), name=name, options=RunOptions(smooth=self.smooth))
             known = metrics(record)
             found: Row = {"status": "done", "reason": ""} | _consistency(record)

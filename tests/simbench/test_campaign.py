@@ -279,6 +279,8 @@ def test_the_limit_reaches_the_processes_that_simulate(study):
         campaign(plan, Path("low"), jobs=1)
     assert {row["status"] for row in table(Path("low"))} == {"failed"}
     assert all("above the limit of 1000 B" in row["reason"] for row in table(Path("low")))
+    campaign(plan, Path("low"), jobs=1)
+    assert {row["status"] for row in table(Path("low"))} == {"done"}
 
 
 def test_the_processes_find_modules_where_the_campaign_does(study, tmp_path_factory, monkeypatch):
