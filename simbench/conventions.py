@@ -25,7 +25,7 @@ import numpy as np
 from simbench.dataset import Sightings
 from simbench.scenario.sensors import R_BODY_OPTICAL
 from vislam.arrays import Array, IntArray
-from vislam.camera import MIN_DEPTH_M, StereoRig, Validity, triangulate, validity
+from vislam.camera import MIN_DEPTH_M, StereoRig, is_valid, triangulate
 from vislam.lie import se3
 
 ImuFrame: TypeAlias = Literal["flu", "frd"]
@@ -331,7 +331,7 @@ class Motion:
             [(np.empty(0, np.int64), np.empty((0, 4)))] * len(times_s)
         )
         frame = np.repeat(np.arange(len(times_s)), np.diff(sightings.start))
-        valid = np.flatnonzero(validity(rig, sightings.pixels) == Validity.VALID)
+        valid = np.flatnonzero(is_valid(rig, sightings.pixels))
         # frames ascend, and ids within a frame, so a sighting's place in the file is its key's rank
         count = int(sightings.ids.max(initial=0)) + 1
         keys = frame[valid] * count + sightings.ids[valid]

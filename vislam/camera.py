@@ -111,21 +111,35 @@ def project(rig: StereoRig, p_cam: Array) -> Array:
     p_cam = np.asarray(p_cam, float)
     if not (front := in_front(p_cam)).all():
         raise BehindCamera(np.flatnonzero(~front), MIN_DEPTH_M)
-    x, y, z = (p_cam[..., axis] for axis in range(3))
-    u = rig.fx_px * x / z + rig.cx_px
-    v = rig.fy_px * y / z + rig.cy_px
-    return np.stack([u, v, u - rig.fx_px * rig.baseline_m / z, v], axis=-1)
+    return _projected(rig, p_cam)
+
+
+def project_or_nan(rig: StereoRig, p_cam: Array) -> Array:
+    """As `project`, with pixels of NaN for what is not in front of the camera."""
+    if not (front := in_front(p_cam)).all():
+        p_cam = np.where(front[..., None], p_cam, np.nan)
+    return _projected(rig, p_cam)
+
+
+def _projected(rig: StereoRig, p_cam: Array) -> Array:
+    x, y, z = _coordinates(p_cam)
+    pixels = np.empty((*z.shape, 4))
+    pixels[..., 0] = u = rig.fx_px * x / z + rig.cx_px
+    pixels[..., 1] = pixels[..., 3] = rig.fy_px * y / z + rig.cy_px
+    pixels[..., 2] = u - rig.fx_px * rig.baseline_m / z
+    return pixels
 
 
 def d_project_d_point(rig: StereoRig, p_cam: Array) -> Array:
     """K_s dpi/dq without its zero column: shape (..., n, 3) to (..., n, 4, 3)."""
-    x, y, z = np.moveaxis(np.asarray(p_cam, float), -1, 0)
+    x, y, z = _coordinates(p_cam)
+    by_x, by_y = rig.fx_px / z, rig.fy_px / z
     J = np.zeros((*z.shape, 4, 3))
-    J[..., 0, 0] = J[..., 2, 0] = rig.fx_px / z
-    J[..., 1, 1] = J[..., 3, 1] = rig.fy_px / z
-    J[..., 0, 2] = -rig.fx_px * x / (z * z)
-    J[..., 2, 2] = -rig.fx_px * (x - rig.baseline_m) / (z * z)
-    J[..., 1, 2] = J[..., 3, 2] = -rig.fy_px * y / (z * z)
+    J[..., 0, 0] = J[..., 2, 0] = by_x
+    J[..., 1, 1] = J[..., 3, 1] = by_y
+    J[..., 0, 2] = by_x * (-x / z)
+    J[..., 2, 2] = by_x * ((rig.baseline_m - x) / z)
+    J[..., 1, 2] = J[..., 3, 2] = by_y * (-y / z)
     return J
 
 
@@ -144,7 +158,7 @@ def triangulate(rig: StereoRig, pixels: Array) -> Array:
 
     Source: the paper, III.B.1, with its missing fx.
     """
-    uL, vL, uR, vR = np.moveaxis(np.asarray(pixels, float), -1, 0)
+    uL, vL, uR, vR = _coordinates(pixels)
     disparity = uL - uR
     if not (disparity > 0).all():
         raise BehindCamera(np.flatnonzero(~(disparity > 0)), 0.0)
@@ -156,7 +170,7 @@ def triangulate(rig: StereoRig, pixels: Array) -> Array:
 
 def d_triangulate_d_reading(rig: StereoRig, pixels: Array) -> Array:
     """The Jacobian of `triangulate`, shape (..., n, 4) to (..., n, 3, 4)."""
-    x, y, z = np.moveaxis(triangulate(rig, pixels), -1, 0)
+    x, y, z = _coordinates(triangulate(rig, pixels))
     dz = -z * z / (rig.fx_px * rig.baseline_m)  # by uL; by uR the negative
     J = np.zeros((*z.shape, 3, 4))
     for axis, value in enumerate((x, y, z)):
@@ -174,16 +188,37 @@ def validity(rig: StereoRig, pixels: Array) -> IntArray:
     """
     pixels = np.asarray(pixels, float)
     missing = pixels == -1
-    incomplete = missing | ~np.isfinite(pixels)
-    uL, _, uR, _ = np.moveaxis(np.where(incomplete, 0.0, pixels), -1, 0)
-    disparity = uL - uR
-    outside = np.zeros(pixels.shape, bool)
+    incomplete = (missing | ~np.isfinite(pixels)).any(axis=-1)
+    disparity = _disparity(pixels, ~incomplete)
+    found = np.full(incomplete.shape, Validity.VALID, np.int64)
     if rig.image_px is not None:
-        outside = (pixels < 0) | (pixels > np.array([*rig.image_px, *rig.image_px]) - 1)
-    found = np.full(pixels.shape[:-1], Validity.VALID, np.int64)
-    found[outside.any(axis=-1)] = Validity.OUTSIDE
+        beyond = (pixels < 0) | (pixels > np.array([*rig.image_px, *rig.image_px]) - 1)
+        found[beyond.any(axis=-1)] = Validity.OUTSIDE
     found[disparity < rig.min_disparity_px] = Validity.FAR
     found[disparity <= 0] = Validity.BEHIND
-    found[incomplete.any(axis=-1)] = Validity.PARTIAL
+    found[incomplete] = Validity.PARTIAL
     found[missing.all(axis=-1)] = Validity.UNSEEN
     return found
+
+
+def is_valid(rig: StereoRig, pixels: Array) -> BoolArray:
+    """Which features are VALID, shape (..., n, 4) to (..., n): what a filter asks every frame."""
+    pixels = np.asarray(pixels, float)
+    if rig.image_px is None:
+        there = np.isfinite(pixels) & (pixels != -1)
+    else:
+        there = (pixels >= 0) & (pixels <= np.array([*rig.image_px, *rig.image_px]) - 1)
+    whole = there.all(axis=-1)
+    return _disparity(pixels, whole) >= rig.min_disparity_px
+
+
+def _disparity(pixels: Array, where: BoolArray) -> Array:
+    """The disparity uL - uR of some features, 0 of the others."""
+    disparity: Array = np.zeros(where.shape)
+    return np.subtract(pixels[..., 0], pixels[..., 2], out=disparity, where=where)
+
+
+def _coordinates(points: Array) -> tuple[Array, ...]:
+    """Each coordinate along the last axis."""
+    points = np.asarray(points, float)
+    return tuple(points[..., i] for i in range(points.shape[-1]))

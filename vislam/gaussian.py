@@ -4,8 +4,10 @@ The measurement noise is whitened beforehand, so R = I everywhere. One state (n,
 LAPACK and BLAS; states with batch axes (..., n, n) through numpy's stacked routines.
 """
 
+from functools import cache
+
 import numpy as np
-from scipy.linalg.blas import dgemm, dtrsm
+from scipy.linalg.blas import dgemm, dtrsm, dtrsv
 from scipy.linalg.lapack import dpotrf
 from scipy.special import chdtri
 
@@ -43,10 +45,28 @@ def solve_lower(L: Array, X: Array) -> Array:
     """L^-1 X for a lower triangular L, shapes (..., k, k) and (..., k, n); X is given up."""
     if L.ndim > 2:
         return np.asarray(np.linalg.solve(L, X))
-    if not L.size:
-        return X
-    # X^T L^-T: X^T of an X by rows is in the order that BLAS works in
-    return np.asarray(dtrsm(1.0, L, X.T, side=1, lower=1, trans_a=1, overwrite_b=1).T)
+    if X.shape[-1] == 1 and X.size:
+        return np.asarray(dtrsv(L, X[:, 0], lower=1))[:, None]
+    X = np.ascontiguousarray(X, float)
+    _solve_in_place(L, X)
+    return X
+
+
+#: Up to so many rows a triangular solve is left to BLAS, whose own is slower than its product: by
+#: halves it takes a tenth less time at 150 rows, a quarter at 300 and more.
+_ROWS = 96
+
+
+def _solve_in_place(L: Array, X: Array) -> None:
+    rows = len(L)
+    if 0 < rows <= _ROWS:
+        # X^T L^-T: X^T of an X by rows is in the order that BLAS works in
+        dtrsm(1.0, L, X.T, side=1, lower=1, trans_a=1, overwrite_b=1)
+    elif rows:
+        upper, lower = slice(rows // 2), slice(rows // 2, None)
+        _solve_in_place(L[upper, upper], X[upper])
+        dgemm(-1.0, X[upper].T, L[lower, upper], 1.0, X[lower].T, trans_b=1, overwrite_c=1)
+        _solve_in_place(L[lower, lower], X[lower])
 
 
 def subtract_gram(P: Array, Y_T: Array) -> Array:
@@ -80,6 +100,12 @@ def reuse_freed_memory() -> None:
     np.empty(31 * 2**17)
 
 
+def square_root(Q: Array) -> Array:
+    """An R with Q = R R^T, for covariances of any rank, shape (..., c, c)."""
+    values, vectors = np.linalg.eigh(Q)
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0))[..., None, :])
+
+
 def transposed(A: Array) -> Array:
     """The last two axes swapped."""
     return np.swapaxes(A, -1, -2)
@@ -90,6 +116,7 @@ def symmetrised(P: Array) -> Array:
     return 0.5 * (P + transposed(P))
 
 
+@cache
 def gate_threshold(probability: float, dof: int) -> float:
     """The squared Mahalanobis distance that a right innovation stays below with `probability`."""
     return float(chdtri(dof, 1 - probability))

@@ -33,14 +33,13 @@ class PointSensor:
             raise ValueError(f"Expected `view_deg` above 0, up to 360, got {self.view_deg}.")
 
 
-def in_front(p_sensor: Array) -> BoolArray:
-    """Whether points can be read, shape (..., n, 3) to (..., n): all can."""
-    return np.ones(p_sensor.shape[:-1], bool)
-
-
 def project(sensor: PointSensor, p_sensor: Array) -> Array:  # noqa: ARG001
     """The reading of a point is the point, shape (..., n, 3)."""
     return np.asarray(p_sensor, float)
+
+
+#: Every point has a reading.
+project_or_nan = project
 
 
 def d_project_d_point(sensor: PointSensor, p_sensor: Array) -> Array:  # noqa: ARG001
@@ -70,3 +69,8 @@ def validity(sensor: PointSensor, points: Array) -> IntArray:  # noqa: ARG001
         [Validity.UNSEEN, Validity.PARTIAL],
         Validity.VALID,
     ).astype(np.int64)
+
+
+def is_valid(sensor: PointSensor, points: Array) -> BoolArray:  # noqa: ARG001
+    """Which readings are VALID, shape (..., n, 3) to (..., n)."""
+    return np.asarray(np.isfinite(points).all(axis=-1))

@@ -1,9 +1,12 @@
 """The stereo rig against camera matrices, derivatives against definitions, validity by table."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 from numpy.testing import assert_allclose, assert_array_equal
 
 from vislam.camera import (
@@ -13,7 +16,9 @@ from vislam.camera import (
     d_project_d_point,
     d_triangulate_d_reading,
     in_front,
+    is_valid,
     project,
+    project_or_nan,
     triangulate,
     validity,
 )
@@ -237,6 +242,27 @@ def test_without_an_image_size_nothing_is_outside():
     for _, pixels, expected in FEATURES:
         valid = Validity.VALID if expected is Validity.OUTSIDE else expected
         assert validity(endless, np.array(pixels)) == valid
+
+
+odd = st.sampled_from([-1.0, 0.0, 300.0, 299.0, 299.0000001, 1241.0, 5000.0, -1e300, NAN, INF])
+
+
+@given(
+    pixels=arrays(float, (6, 4), elements=odd | st.floats(-10, 1300)),
+    image_px=st.sampled_from([RIG.image_px, None]),
+)
+def test_valid_is_what_validity_finds_valid(pixels, image_px):
+    rig = replace(RIG, image_px=image_px)
+    assert_array_equal(is_valid(rig, pixels), validity(rig, pixels) == Validity.VALID)
+
+
+def test_what_is_not_before_the_camera_has_pixels_of_nan():
+    p = np.array([[[1, 2, 5.0], [0, 0, -1]], [[0, 0, 1e-3], [NAN, 0, 4]]])
+    seen = project_or_nan(RIG, p)
+    assert_array_equal(seen[0, 0], project(RIG, p[0, :1])[0])
+    assert np.isnan(seen[0, 1]).all()
+    assert np.isnan(seen[1, 0]).all()
+    assert np.isnan(seen[1, 1, 0])
 
 
 def test_minimum_disparity_is_the_rig_s():

@@ -25,9 +25,18 @@ from vislam.filters.records import (
     Drop,
     Linear,
     Record,
+    block_diagonal,
+    diagonal_blocks,
     times_blocks,
 )
-from vislam.gaussian import symmetrised, transposed
+from vislam.gaussian import (
+    cholesky,
+    solve_lower,
+    square_root,
+    subtract_gram,
+    symmetrised,
+    transposed,
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -105,7 +114,7 @@ class Later:
         return said[..., 0], symmetrised(P[..., rows, :][..., rows] - said[..., 1:])
 
     def before(self, record: "Past") -> "Later":
-        """The same data, by the error of the state before a record."""
+        """The same data, by the error of the state before a record; this one is given up."""
         match record:
             case Linear():
                 return self._before_linear(record)
@@ -120,13 +129,12 @@ class Later:
 
     def _before_linear(self, record: Linear) -> "Later":
         """e+ = A e + N w: the noise is integrated out, A carries the rest."""
-        later = self
         if record.Q is not None:
-            later = later._without_noise(record.N, record.Q)
+            self._integrate_out(record.N, square_root(record.Q))
+        y, Y = self.vector, self.information
         columns = record.F if record.M is None else np.concatenate([record.F, record.M], axis=-2)
         part = slice(0, columns.shape[-2])  # the rows that A gathers into the pose's
-        y, Y = later.vector.copy(), later.information.copy()
-        y[..., POSE] = _times(transposed(columns), later.vector[..., part])
+        y[..., POSE] = _times(transposed(columns), y[..., part])
         Y[..., POSE, :] = transposed(columns) @ Y[..., part, :]
         Y[..., POSE] = Y[..., part] @ columns
         if record.D is not None:
@@ -134,73 +142,69 @@ class Later:
             y[..., MAP] = times_blocks(D_T, y[..., MAP, None])[..., 0]
             Y[..., MAP, :] = times_blocks(D_T, Y[..., MAP, :])
             Y[..., MAP] = transposed(times_blocks(D_T, transposed(Y[..., MAP])))
-        return Later(vector=y, information=Y)
+        return self
 
-    def _without_noise(self, N: Array | None, Q: Array) -> "Later":
-        """Integrate out w ~ N(0, Q) of e + N w: rank 6."""
+    def _integrate_out(self, N: Array | None, R: Array) -> None:
+        """Integrate out v ~ N(0, I) of e + N R v, N the pose's columns by default: rank 6."""
+        y, Y = self.vector, self.information
         if N is None:
-            Y_N, y_N = self.information[..., POSE], self.vector[..., POSE]
-            return self._less(Y_N, y_N, Y_N[..., POSE, :], Q)
-        Y_N, N_T = self.information @ N, transposed(N)
-        return self._less(Y_N, _times(N_T, self.vector), N_T @ Y_N, Q)
+            self._less(y[..., POSE], Y[..., POSE, :], Y[..., POSE, POSE], R)
+        else:
+            N_T = transposed(N)
+            Y_N = N_T @ Y
+            self._less(_times(N_T, y), Y_N, Y_N @ N, R)
 
-    def _less(self, Y_N: Array, y_N: Array, info: Array, Q: Array) -> "Later":
-        """Take off Y_N (Q^-1 + info)^-1 y_N and Y_N (Q^-1 + info)^-1 Y_N^T, for a Q of any rank."""
-        weight = np.asarray(np.linalg.solve(np.eye(Q.shape[-1]) + Q @ info, Q))
-        lost = Y_N @ symmetrised(weight)
-        return Later(
-            vector=self.vector - _times(lost, y_N),
-            information=symmetrised(self.information - lost @ transposed(Y_N)),
-        )
+    def _less(self, y_N: Array, Y_N: Array, info: Array, R: Array) -> None:
+        """Take off what R v hides, of which y_N and Y_N are the rows, and info the square.
+
+        With L L^T = I + R^T info R and Z = L^-1 R^T: Z^T Z for the rows.
+        """
+        R_T = transposed(R)
+        S = R_T @ info @ R
+        np.einsum("...ii->...i", S)[...] += 1
+        rows = np.concatenate([R_T @ Y_N, _times(R_T, y_N)[..., None]], axis=-1)
+        Z = solve_lower(cholesky(S), rows)
+        self.vector[...] -= _times(transposed(Z[..., :-1]), Z[..., -1])
+        subtract_gram(self.information, Z[..., :-1])
 
     def _before_seen(self, record: Seen) -> "Later":
         """e+ = e - delta, and r = H e + v besides."""
+        y, Y = self.vector, self.information
         *batch, k, _, _ = record.H_map.shape
-        n = self.vector.shape[-1]
-        H_pose = record.H_pose.reshape(*batch, k, 3, 6)
-        r = record.r.reshape(*batch, k, 3, 1)
-        y = self.vector + _times(self.information, record.delta)
+        m = (y.shape[-1] - 6) // 3
+        H_pose, slots = record.H_pose.reshape(*batch, k, 3, 6), record.slots
+        H_map_T = transposed(record.H_map)
+        y += _times(Y, record.delta)
         y[..., POSE] += _times(transposed(record.H_pose), record.r)
-        y_map = y[..., MAP].reshape(*batch, -1, 3)  # a view, as those below
-        y_map[..., record.slots, :] += (transposed(record.H_map) @ r)[..., 0]
+        y_map = y[..., MAP].reshape(*batch, m, 3)  # a view, as those below
+        y_map[..., slots, :] += _times(H_map_T, record.r.reshape(*batch, k, 3))
 
-        Y = self.information.copy()
         Y[..., POSE, POSE] += transposed(record.H_pose) @ record.H_pose
-        cross = transposed(record.H_map) @ H_pose
-        by_map = np.zeros((*batch, (n - 6) // 3, 3, 6))
-        by_map[..., record.slots, :, :] = cross
-        by_map = by_map.reshape(*batch, n - 6, 6)
-        Y[..., MAP, POSE] += by_map
-        Y[..., POSE, MAP] += transposed(by_map)
-        blocks = Y[..., MAP, MAP].reshape(*batch, (n - 6) // 3, 3, (n - 6) // 3, 3)
-        blocks[..., record.slots, :, record.slots, :] += np.moveaxis(
-            transposed(record.H_map) @ record.H_map, -3, 0
-        )
-        return Later(vector=y, information=Y)
+        Y[..., MAP, POSE].reshape(*batch, m, 3, 6)[..., slots, :, :] += H_map_T @ H_pose
+        Y[..., POSE, MAP] = transposed(Y[..., MAP, POSE])
+        diagonal_blocks(Y[..., MAP, MAP])[..., slots, :, :] += H_map_T @ record.H_map
+        return self
 
     def _before_augment(self, record: Augment) -> "Later":
         """With m = G x_R + v: the landmarks' own v is integrated out, the pose takes the rest."""
-        n = self.vector.shape[-1] - record.G.shape[-2]
-        new = slice(n, None)
-        *batch, b, _, _ = record.R.shape
-        R = np.zeros((*batch, b, 3, b, 3))
-        R[..., range(b), :, range(b), :] = np.moveaxis(record.R, -3, 0)
-        R = R.reshape(*batch, 3 * b, 3 * b)
-        Y_N = self.information[..., new]
-        later = self._less(Y_N, self.vector[..., new], Y_N[..., new, :], R)
-        y, Y = later.vector, later.information
-        y[..., POSE] += _times(transposed(record.G), y[..., new])
-        Y[..., POSE] += Y[..., new] @ record.G
-        Y[..., POSE, :] += transposed(record.G) @ Y[..., new, :]
-        return Later(vector=y[..., :n], information=Y[..., :n, :n])
+        y, Y, G = self.vector, self.information, record.G
+        old = slice(0, y.shape[-1] - G.shape[-2])
+        new = slice(old.stop, None)
+        R = block_diagonal(square_root(record.R))
+        self._less(y[..., new], Y[..., new, :], Y[..., new, new], R)
+        y[..., POSE] += _times(transposed(G), y[..., new])
+        Y[..., POSE] += Y[..., new] @ G
+        Y[..., POSE, :] += transposed(G) @ Y[..., new, :]
+        return Later(vector=y[..., old], information=Y[..., old, old])
 
     def _before_drop(self, record: Drop) -> "Later":
         """Nothing is said of what has left."""
-        n = len(record.stays) + 3 * len(record.slots)
-        y = np.zeros((*self.vector.shape[:-1], n))
-        Y = np.zeros((*y.shape, n))
-        y[..., record.stays] = self.vector
-        Y[..., record.stays[:, None], record.stays] = self.information
+        batch, stays = self.vector.shape[:-1], record.stays
+        n = len(stays) + 3 * len(record.slots)
+        y, wide, Y = (np.zeros((*batch, *shape)) for shape in ((n,), (len(stays), n), (n, n)))
+        y[..., stays] = self.vector
+        wide[..., stays] = self.information
+        Y[..., stays, :] = wide
         return Later(vector=y, information=Y)
 
 
@@ -208,8 +212,8 @@ class Later:
 Past: TypeAlias = Linear | Seen | Augment | Drop | Kept
 
 
-def past(record: Record) -> Past:
-    """What to keep of a record."""
+def past(record: Record | Kept) -> Past:
+    """What to keep of it."""
     if not isinstance(record, Correct):
         return record
     return Seen(

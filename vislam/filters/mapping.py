@@ -12,7 +12,7 @@ import numpy as np
 from vislam.arrays import Array, IntArray
 from vislam.filters import model
 from vislam.filters.dead_reckoning import DeadReckoning
-from vislam.filters.records import diagonal_blocks
+from vislam.filters.records import block_diagonal
 from vislam.filters.roster import Retired, slots_of
 from vislam.gaussian import cholesky, solve_lower, subtract_gram, transposed
 from vislam.types import Belief, Frame, Innovation, Smoothed, Task, Twist
@@ -147,11 +147,3 @@ class Mapping:
         self.ids = np.delete(self.ids, slots)
         self.landmarks = np.delete(self.landmarks, slots, axis=-2)
         self.P = np.delete(self.P, slots, axis=-3)
-
-
-def block_diagonal(blocks: Array) -> Array:
-    """The matrix (..., 3m, 3m) with blocks (..., m, 3, 3) on its diagonal, zeros elsewhere."""
-    size = 3 * blocks.shape[-3]
-    out = np.zeros((*blocks.shape[:-3], size, size))
-    diagonal_blocks(out)[...] = blocks
-    return out

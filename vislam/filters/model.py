@@ -5,13 +5,13 @@ Each function is one formula; a filter variant takes another in its place
 point itself of a point sensor.
 """
 
+import math
 from typing import Any
 
 import numpy as np
 
 from vislam import camera, point
-from vislam.arrays import Array, BoolArray, IntArray
-from vislam.camera import Validity
+from vislam.arrays import Array, BoolArray
 from vislam.gaussian import gate_threshold, transposed
 from vislam.lie import se3, so3
 from vislam.point import PointSensor
@@ -53,13 +53,12 @@ def process_noise(noise: Noise, motion: Twist, dt: float) -> Array:
 
 def valid(calibration: Calibration, readings: Array) -> BoolArray:
     """Which readings can be used, in every run of a batch, shape (..., n, c) to (n,)."""
-    found: IntArray = _of(calibration).validity(calibration.rig, readings)
-    return _in_all_runs(found == Validity.VALID)
+    return _in_all_runs(_of(calibration).is_valid(calibration.rig, readings))
 
 
 def unseen(there: BoolArray) -> BoolArray:
     """Which sightings are missing throughout: none at all, shape (..., n, c) to (n,)."""
-    return _in_all_runs(~np.any(there, axis=-1))
+    return _in_all_runs(~np.asarray(there.any(axis=-1)))
 
 
 def to_imu(T: Array, landmarks: Array) -> Array:
@@ -75,14 +74,11 @@ def to_cam(calibration: Calibration, s: Array) -> Array:
 def predicted(calibration: Calibration, T: Array, landmarks: Array) -> Array:
     """The readings as predicted, K_s pi(cTi T^-1 m) of a stereo pair, shape (..., k, c).
 
-    NaN where a landmark lies behind the camera in some run of a batch: nothing can be said of it.
+    NaN where a landmark lies behind the camera: nothing can be said of it.
     """
-    sensor, q = _of(calibration), to_cam(calibration, to_imu(T, landmarks))
-    front = _in_all_runs(sensor.in_front(q))
-    seen: Array = sensor.project(calibration.rig, q[..., front, :])
-    out = np.full((*q.shape[:-1], seen.shape[-1]), np.nan)
-    out[..., front, :] = seen
-    return out
+    q = to_imu(T @ calibration.T_imu_cam, landmarks)
+    seen: Array = _of(calibration).project_or_nan(calibration.rig, q)
+    return seen
 
 
 def observation_jacobians(
@@ -121,14 +117,16 @@ def whitening(noise: Noise, predicted: Array) -> Array:
     if not len(noise.sigma_px):
         weights: Array = np.eye(3) / noise.sigma(predicted)[..., None, :]
         return weights
-    uL, vL, uR, vR = noise.sigma_px
-    v = vL * vR / np.hypot(vL, vR)
-    W = np.zeros((4, 4))
-    W[0, 0] = 1 / uL
-    W[1, 1], W[1, 3] = v / vL**2, v / vR**2
-    W[2, 2] = 1 / uR
-    W[3, 1], W[3, 3] = np.array([1, -1]) / np.hypot(vL, vR)
-    return W
+    uL, vL, uR, vR = noise.sigma_px.tolist()
+    both = math.hypot(vL, vR)
+    return np.array(
+        [
+            [1 / uL, 0, 0, 0],
+            [0, vR / (vL * both), 0, vL / (vR * both)],
+            [0, 0, 1 / uR, 0],
+            [0, 1 / both, 0, -1 / both],
+        ]
+    )
 
 
 def whitened(W: Array, residual: Array) -> Array:
@@ -138,7 +136,7 @@ def whitened(W: Array, residual: Array) -> Array:
 
 def finite(residual: Array) -> BoolArray:
     """Which residuals there are, in every run of a batch, shape (..., k, c) to (k,)."""
-    return _in_all_runs(np.all(np.isfinite(residual), axis=-1))
+    return _in_all_runs(np.asarray(np.isfinite(residual).all(axis=-1)))
 
 
 def predictable(calibration: Calibration, W: Array, S: Array) -> BoolArray:
@@ -160,10 +158,9 @@ def predictable(calibration: Calibration, W: Array, S: Array) -> BoolArray:
         most = rig.range_m[1]
     else:
         most = 2 * rig.fx_px if rig.image_px is None else rig.image_px[0]
-    sigma = 1 / W[..., :3, :].sum(axis=-1)
-    variance = np.einsum("...ii->...i", S) * np.square(sigma)
-    within: BoolArray = np.all(variance < most**2, axis=-1)
-    return within
+    weight = W[..., :3, :].sum(axis=-1)
+    variance = np.einsum("...ii->...i", S)
+    return np.asarray((variance < np.square(most * weight)).all(axis=-1))
 
 
 def gate(distance_squared: Array, probability: float, dof: int) -> BoolArray:
@@ -224,5 +221,4 @@ def _in_all_runs(holds: BoolArray) -> BoolArray:
     """Whether it holds in every run of a batch, shape (..., n) to (n,)."""
     if holds.ndim == 1:
         return holds
-    together: BoolArray = np.all(holds, axis=tuple(range(holds.ndim - 1)))
-    return together
+    return np.asarray(holds.all(axis=tuple(range(holds.ndim - 1))))

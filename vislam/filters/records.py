@@ -182,7 +182,7 @@ class Drop:
 
     def onto(self, P: Array) -> Array:
         """The same."""
-        return P[..., self.stays, :][..., self.stays]
+        return P.take(self.stays, axis=-2).take(self.stays, axis=-1)
 
 
 Record: TypeAlias = Linear | Correct | Augment | Drop
@@ -193,6 +193,14 @@ def diagonal_blocks(P: Array) -> Array:
     m = P.shape[-1] // 3
     blocks: Array = np.einsum("...iaib->...iab", P.reshape(*P.shape[:-2], m, 3, m, 3))
     return blocks
+
+
+def block_diagonal(blocks: Array) -> Array:
+    """The matrix (..., 3m, 3m) with blocks (..., m, 3, 3) on its diagonal, zeros elsewhere."""
+    size = 3 * blocks.shape[-3]
+    out = np.zeros((*blocks.shape[:-3], size, size))
+    diagonal_blocks(out)[...] = blocks
+    return out
 
 
 def times_blocks(D: Array, X: Array) -> Array:

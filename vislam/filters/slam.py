@@ -16,7 +16,7 @@ import numpy as np
 from vislam.arrays import Array, IntArray
 from vislam.charts import RIGHT
 from vislam.filters import model
-from vislam.filters.backward import Kept, Later, past
+from vislam.filters.backward import Kept, Later
 from vislam.filters.estimate import Estimate
 from vislam.filters.inverse_depth import along_inverse_depth
 from vislam.filters.observation import Observation
@@ -89,7 +89,8 @@ class EkfSlam:
     def update(self, frame: Frame) -> Innovation:
         """Update by the known landmarks, enter new ones, let go of those seen for the last time."""
         usable = self.parts.valid(self.calibration, frame.readings)
-        self._admit(frame.ids[usable])
+        if self._waiting:
+            self._admit(frame.ids[usable])
         slots = slots_of(self.ids, frame.ids)
         known, new = usable & (slots >= 0), usable & (slots < 0)
         innovation = self._correct(frame.ids[known], slots[known], frame.readings[..., known, :])
@@ -163,7 +164,7 @@ class EkfSlam:
         if self.records is not None:
             self.records.append(record)
         if self._past is not None:
-            self._past.append(past(record))
+            self._past.append(record)
 
     def _correct(self, ids: IntArray, slots: IntArray, readings: Array) -> Innovation:
         """The paper's III.C.5 over the known landmarks; ids (k,), readings (..., k, c)."""

@@ -7,13 +7,13 @@ pieces of the same size.
 import pickle
 import weakref
 from collections.abc import Iterator
-from dataclasses import fields
 from tempfile import TemporaryFile
 from typing import IO
 
 import numpy as np
 
-from vislam.filters.backward import Kept, Past
+from vislam.filters.backward import Kept, Past, past
+from vislam.filters.records import Record
 
 
 class Tape:
@@ -27,12 +27,12 @@ class Tape:
         self._file: IO[bytes] | None = None
         self._pieces: list[int] = []
 
-    def append(self, past: Past) -> None:
+    def append(self, record: Record | Kept) -> None:
         """Put it at the end; what comes before the first state that was kept leads nowhere."""
-        if not (self._held or self._pieces or isinstance(past, Kept)):
+        if not (self._held or self._pieces or isinstance(record, Kept)):
             return
-        self._held.append(past)
-        arrays = (getattr(past, field.name) for field in fields(past))
+        self._held.append(past(record))
+        arrays = (getattr(self._held[-1], name) for name in self._held[-1].__slots__)
         self._held_bytes += sum(a.nbytes for a in arrays if isinstance(a, np.ndarray))
         if self._held_bytes > self._piece_bytes:
             self._spool()

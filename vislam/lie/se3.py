@@ -4,7 +4,12 @@ import numpy as np
 
 from vislam.arrays import Array
 from vislam.lie import so3
-from vislam.lie.series import stumpff
+from vislam.lie.series import polynomial
+
+#: xi^ and ad(xi) of the six axes of xi = (rho, phi).
+_HATS, _ADS = np.zeros((6, 4, 4)), np.zeros((6, 6, 6))
+_HATS[range(3), range(3), 3] = 1
+_HATS[3:, :3, :3] = _ADS[:3, :3, 3:] = _ADS[3:, :3, :3] = _ADS[3:, 3:, 3:] = so3.GENERATORS
 
 
 def from_rotation_translation(R: Array, p: Array) -> Array:
@@ -18,11 +23,7 @@ def from_rotation_translation(R: Array, p: Array) -> Array:
 
 def hat(xi: Array) -> Array:
     """The 4x4 matrix xi^ = [phi^, rho; 0, 0] of xi = (rho, phi)."""
-    xi = np.asarray(xi, float)
-    out = np.zeros((*xi.shape[:-1], 4, 4))
-    out[..., :3, :3] = so3.hat(xi[..., 3:])
-    out[..., :3, 3] = xi[..., :3]
-    return out
+    return so3.combined(xi, _HATS)
 
 
 def vee(xi_hat: Array) -> Array:
@@ -32,19 +33,14 @@ def vee(xi_hat: Array) -> Array:
 
 def ad(xi: Array) -> Array:
     """The paper's u check, [phi^, rho^; 0, phi^], shape (..., 6, 6); Ad of exp is expm of ad."""
-    xi = np.asarray(xi, float)
-    return _block_triangular(so3.hat(xi[..., 3:]), so3.hat(xi[..., :3]))
+    return so3.combined(xi, _ADS)
 
 
 def exp(xi: Array) -> Array:
-    """The motion of a tangent vector: R = exp phi^ and t = J_l rho (Barfoot 7.32)."""
+    """The motion of a tangent vector, I + xi^ + c_2 xi^^2 + c_3 xi^^3 (Barfoot 7.32)."""
     xi = np.asarray(xi, float)
-    _, c1, c2, c3 = _coefficients(xi, 3)
-    phi_hat = so3.hat(xi[..., 3:])
-    squared = phi_hat @ phi_hat
-    R = so3.IDENTITY + c1 * phi_hat + c2 * squared
-    V = so3.IDENTITY + c2 * phi_hat + c3 * squared
-    return from_rotation_translation(R, (V @ xi[..., :3, None])[..., 0])
+    _, _, c2, c3 = so3.coefficients(xi[..., 3:], 3)
+    return polynomial(hat(xi), 1, 1, c2, c3)
 
 
 def log(T: Array) -> Array:
@@ -72,16 +68,24 @@ def apply(T: Array, points: Array) -> Array:
 
 
 def left_jacobian(xi: Array) -> Array:
-    """J_l = [J, Q; 0, J], with exp(xi + d) = exp(J_l d) exp(xi) to first order (Barfoot 7.85b)."""
+    """J_l = [J, Q; 0, J], with exp(xi + d) = exp(J_l d) exp(xi) to first order.
+
+    The sum of X^k / (k + 1)!, X = ad(xi), of which (X^2 + angle^2)^2 X = 0 leaves five terms
+    (Barfoot 7.86, with the Stumpff functions for the quotients).
+    """
     xi = np.asarray(xi, float)
-    return _block_triangular(so3.left_jacobian(xi[..., 3:]), _q(xi))
+    _, c1, c2, c3, c4, c5 = so3.coefficients(xi[..., 3:], 5)
+    return polynomial(
+        ad(xi), 1, 2 * c2 - 0.5 * c1, 2.5 * c3 - 0.5 * c2, 0.5 * c3 - c4, 0.5 * c4 - 1.5 * c5
+    )
 
 
 def left_jacobian_inverse(xi: Array) -> Array:
     """The inverse of J_l, for rotation angles below 2 pi (Barfoot 7.95b)."""
     xi = np.asarray(xi, float)
     J_inverse = so3.left_jacobian_inverse(xi[..., 3:])
-    return _block_triangular(J_inverse, -J_inverse @ _q(xi) @ J_inverse)
+    Q = left_jacobian(xi)[..., :3, 3:]
+    return _block_triangular(J_inverse, -J_inverse @ Q @ J_inverse)
 
 
 def right_jacobian(xi: Array) -> Array:
@@ -110,29 +114,9 @@ def odot(points: Array) -> Array:
     return out
 
 
-def _q(xi: Array) -> Array:
-    """The upper right block of J_l (Barfoot 7.86b)."""
-    _, _, _, c3, c4, c5 = _coefficients(xi, 5)
-    rho, phi = so3.hat(xi[..., :3]), so3.hat(xi[..., 3:])
-    phi_rho, rho_phi = phi @ rho, rho @ phi
-    phi_rho_phi = phi_rho @ phi
-    return (
-        0.5 * rho
-        + c3 * (phi_rho + rho_phi + phi_rho_phi)
-        + c4 * (phi @ phi_rho + rho_phi @ phi - 3 * phi_rho_phi)
-        + (0.5 * c4 - 1.5 * c5) * (phi_rho_phi @ phi + phi @ phi_rho_phi)
-    )
-
-
 def _block_triangular(diagonal: Array, upper_right: Array) -> Array:
     """[diagonal, upper_right; 0, diagonal], shape (..., 6, 6)."""
     out = np.zeros((*diagonal.shape[:-2], 6, 6))
     out[..., :3, :3] = out[..., 3:, 3:] = diagonal
     out[..., :3, 3:] = upper_right
     return out
-
-
-def _coefficients(xi: Array, highest: int) -> list[Array]:
-    """Stumpff functions of the rotation angle of xi, shaped to multiply (..., 3, 3) matrices."""
-    angle = np.sqrt(np.sum(np.square(xi[..., 3:]), axis=-1))
-    return [c[..., None, None] for c in stumpff(angle, highest)]

@@ -1,4 +1,4 @@
-"""The Stumpff functions, in which every closed form of SO(3) and SE(3) is written."""
+"""The functions in which every closed form of SO(3) and SE(3) is written."""
 
 import math
 
@@ -7,11 +7,11 @@ import numpy as np
 from vislam.arrays import Array
 
 _SERIES_BELOW = 1.0  # rad; the quotients have lost at most two digits there
-_TERMS = 9  # the first term left out is at most 1 / 18!, 2e-16
+_POWERS = np.arange(9)  # the first term left out is at most 1 / 18!, 2e-16
 _HIGHEST = 7
 #: Of angle^2i in c_k: (-1)^i / (2i + k)!, by i and k.
 _COEFFICIENTS = np.array(
-    [[(-1) ** i / math.factorial(2 * i + k) for k in range(_HIGHEST + 1)] for i in range(_TERMS)]
+    [[(-1) ** i / math.factorial(2 * i + k) for k in range(_HIGHEST + 1)] for i in _POWERS.tolist()]
 )
 
 
@@ -42,8 +42,21 @@ def stumpff(angle: Array, highest: int) -> list[Array]:
 
 
 def _series(squared: Array, highest: int) -> list[Array]:
-    """The series of c_0 to c_highest, all by one Horner's rule."""
-    squared, total = squared[..., None], np.zeros((*squared.shape, highest + 1))
-    for coefficients in _COEFFICIENTS[::-1, : highest + 1]:
-        total = coefficients + squared * total
+    """The series of c_0 to c_highest."""
+    total = squared[..., None] ** _POWERS @ _COEFFICIENTS[:, : highest + 1]
     return [total[..., k] for k in range(highest + 1)]
+
+
+def polynomial(X: Array, *coefficients: Array | float) -> Array:
+    """a_0 I + a_1 X + a_2 X^2 + ..., by Horner's rule.
+
+    Args:
+        X: square matrices, shape (..., n, n).
+        coefficients: a_0, a_1, ..., each a number or of shape (..., 1, 1).
+    """
+    *others, highest = coefficients
+    one = np.eye(X.shape[-1])
+    total = others.pop() * one + highest * X
+    for coefficient in reversed(others):
+        total = total @ X + coefficient * one
+    return total

@@ -3,22 +3,22 @@
 import numpy as np
 
 from vislam.arrays import Array
-from vislam.lie.series import stumpff
+from vislam.lie.series import polynomial, stumpff
 
 IDENTITY: Array = np.eye(3)
+#: hat(e_i) of the three axes.
+GENERATORS: Array = np.array([np.cross(IDENTITY, axis) for axis in IDENTITY])
 
 
 def hat(phi: Array) -> Array:
     """The matrix phi^ with phi^ x = phi cross x, shape (..., 3) to (..., 3, 3)."""
-    phi = np.asarray(phi, float)
-    out = np.zeros((*phi.shape, 3))
-    out[..., 2, 1] = phi[..., 0]
-    out[..., 1, 2] = -phi[..., 0]
-    out[..., 0, 2] = phi[..., 1]
-    out[..., 2, 0] = -phi[..., 1]
-    out[..., 1, 0] = phi[..., 2]
-    out[..., 0, 1] = -phi[..., 2]
-    return out
+    return combined(phi, GENERATORS)
+
+
+def combined(x: Array, matrices: Array) -> Array:
+    """The sum of x_i M_i over k matrices, shapes (..., k) and (k, n, n) to (..., n, n)."""
+    x, (k, *shape) = np.asarray(x, float), matrices.shape
+    return (x @ matrices.reshape(k, -1)).reshape(*x.shape[:-1], *shape)
 
 
 def vee(phi_hat: Array) -> Array:
@@ -31,9 +31,8 @@ ad = hat  #: The adjoint of the algebra: on so(3) it is `hat` itself.
 
 def exp(phi: Array) -> Array:
     """The rotation of a rotation vector, I + c_1 phi^ + c_2 phi^ phi^ (Barfoot 7.14)."""
-    _, c1, c2 = _coefficients(phi, 2)
-    phi_hat = hat(phi)
-    return IDENTITY + c1 * phi_hat + c2 * (phi_hat @ phi_hat)
+    _, c1, c2 = coefficients(phi, 2)
+    return polynomial(hat(phi), 1, c1, c2)
 
 
 def log(R: Array) -> Array:
@@ -81,16 +80,14 @@ def apply(R: Array, points: Array) -> Array:
 
 def left_jacobian(phi: Array) -> Array:
     """J_l, with exp(phi + d) = exp(J_l d) exp(phi) to first order in d (Barfoot 7.77a)."""
-    _, _, c2, c3 = _coefficients(phi, 3)
-    phi_hat = hat(phi)
-    return IDENTITY + c2 * phi_hat + c3 * (phi_hat @ phi_hat)
+    _, _, c2, c3 = coefficients(phi, 3)
+    return polynomial(hat(phi), 1, c2, c3)
 
 
 def left_jacobian_inverse(phi: Array) -> Array:
     """The inverse of J_l, for angles below 2 pi (Barfoot 7.76a, with the cotangent rewritten)."""
-    _, _, c2, c3, c4 = _coefficients(phi, 4)
-    phi_hat = hat(phi)
-    return IDENTITY - 0.5 * phi_hat + (c3 - 2 * c4) / (2 * c2) * (phi_hat @ phi_hat)
+    _, _, c2, c3, c4 = coefficients(phi, 4)
+    return polynomial(hat(phi), 1, -0.5, (c3 - 2 * c4) / (2 * c2))
 
 
 def right_jacobian(phi: Array) -> Array:
@@ -111,7 +108,7 @@ def random(rng: np.random.Generator, shape: tuple[int, ...] = ()) -> Array:
     return exp((2 * np.arctan2(sine, w) / sine)[..., None] * vector)
 
 
-def _coefficients(phi: Array, highest: int) -> list[Array]:
-    """Stumpff functions of the angle of phi, shaped to multiply (..., 3, 3) matrices."""
-    angle = np.sqrt(np.sum(np.square(phi), axis=-1))
-    return [c[..., None, None] for c in stumpff(angle, highest)]
+def coefficients(phi: Array, highest: int) -> list[Array]:
+    """Stumpff functions c_0 to c_highest of the angle of phi, (..., 3), each (..., 1, 1)."""
+    angle = np.sqrt(np.einsum("...i,...i->...", phi, phi))
+    return stumpff(angle[..., None, None], highest)
