@@ -79,14 +79,14 @@ def subtract_gram(P: Array, Y_T: Array) -> Array:
     return P
 
 
-def add_product(P: Array, A: Array, B: Array) -> Array:
-    """P + A B^T in the place of a symmetric P, for a symmetric product of shapes (..., n, k)."""
-    if P.ndim > 2 or not P.flags.c_contiguous:
-        P += symmetrised(A @ transposed(B))
-        return P
-    # P^T is P in the order that BLAS works in; so are A^T and B^T, and B A^T is the same product
-    dgemm(1.0, A.T, B.T, beta=1.0, c=P.T, trans_a=1, overwrite_c=1)
-    return P
+def add_product(C: Array, A: Array, B: Array) -> Array:
+    """C + A B^T in the place of C, for shapes (..., m, n), (..., m, k) and (..., n, k)."""
+    if C.ndim > 2 or not (C.size and C.flags.c_contiguous):
+        C += A @ transposed(B)
+    else:
+        # C^T is C in the order that BLAS works in; so are A^T and B^T, and C^T grows by B A^T
+        dgemm(1.0, B.T, A.T, 1.0, C.T, trans_a=1, overwrite_c=1)
+    return C
 
 
 def reuse_freed_memory() -> None:

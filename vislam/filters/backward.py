@@ -98,7 +98,7 @@ class Later:
     def smoothed(self, P: Array, rows: slice | IntArray) -> tuple[Array, Array]:
         """Both sides together: the change of some rows of the state, and their covariance.
 
-        With P the covariance before: P (I + Y P)^-1 y, and P - P (I + Y P)^-1 Y P.
+        With P the covariance before, that of both is (I + P Y)^-1 P, and it times y the change.
 
         Args:
             P: shape (..., n, n).
@@ -107,11 +107,10 @@ class Later:
         Returns:
             Shapes (..., c) and (..., c, c).
         """
-        Y_P = self.information @ P
-        right = np.concatenate([self.vector[..., None], Y_P[..., rows]], axis=-1)
-        np.einsum("...ii->...i", Y_P)[...] += 1
-        said = P[..., rows, :] @ np.linalg.solve(Y_P, right)
-        return said[..., 0], symmetrised(P[..., rows, :][..., rows] - said[..., 1:])
+        weight = P @ self.information
+        np.einsum("...ii->...i", weight)[...] += 1
+        both = np.linalg.solve(weight, P[..., rows])
+        return _times(transposed(both), self.vector), symmetrised(both[..., rows, :])
 
     def before(self, record: "Past") -> "Later":
         """The same data, by the error of the state before a record; this one is given up."""

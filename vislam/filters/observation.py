@@ -10,7 +10,7 @@ import numpy as np
 
 from vislam.arrays import Array, BoolArray, IntArray
 from vislam.filters.records import POSE, Correct, diagonal_blocks
-from vislam.gaussian import cholesky, solve_lower, transposed
+from vislam.gaussian import add_product, cholesky, solve_lower, transposed
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -41,12 +41,10 @@ class Observation:
         batch, n, k = P.shape[:-2], P.shape[-1], len(slots)
         rows = 6 + 3 * slots[:, None] + np.arange(3)
         pose = H_pose.reshape(*batch, 3 * k, 6)
-        HP = pose @ P[..., POSE, :]
-        by_landmark = HP.reshape(*batch, k, 3, n)  # a view, as the one below
-        by_landmark += H_map @ P[..., rows, :]
-        S = pose @ transposed(HP[..., POSE])
-        by_landmark = S.reshape(*batch, k, 3, 3 * k)
-        by_landmark += H_map @ transposed(HP)[..., rows, :]
+        HP = (H_map @ P[..., rows, :]).reshape(*batch, 3 * k, n)
+        add_product(HP, pose, P[..., POSE])
+        S = (H_map @ transposed(HP)[..., rows, :]).reshape(*batch, 3 * k, 3 * k)
+        add_product(S, pose, HP[..., POSE])
         np.einsum("...ii->...i", S)[...] += 1
         return cls(slots=slots, H_pose=H_pose, H_map=H_map, r=r, HP=HP, S=S)
 
@@ -67,13 +65,14 @@ class Observation:
             return self
         rows = np.repeat(accepted, 3, axis=-1)
         if accepted.ndim == 1:
+            rows = np.flatnonzero(rows)
             return Observation(
                 slots=self.slots[accepted],
                 H_pose=self.H_pose[accepted],
                 H_map=self.H_map[accepted],
                 r=self.r[accepted],
-                HP=self.HP[rows],
-                S=self.S[rows][:, rows],
+                HP=self.HP.take(rows, axis=0),
+                S=self.S.take(rows, axis=0).take(rows, axis=1),
             )
         both = rows[..., :, None] & rows[..., None, :]
         each = accepted[..., None, None]

@@ -10,8 +10,11 @@ from vislam.types import Belief
 
 def slots_of(state_ids: IntArray, ids: IntArray) -> IntArray:
     """The place of each landmark among those of the state, -1 for one that it does not hold."""
-    place = {landmark: slot for slot, landmark in enumerate(state_ids.tolist())}
-    return np.array([place.get(landmark, -1) for landmark in ids.tolist()], dtype=np.int64)
+    if not len(state_ids):
+        return np.full(len(ids), -1)
+    order = np.argsort(state_ids)
+    slots = order.take(np.searchsorted(state_ids, ids, sorter=order), mode="clip")
+    return np.where(state_ids[slots] == ids, slots, -1)
 
 
 class Retired:
