@@ -33,9 +33,8 @@ def retract(chart: Chart, x: Estimate, delta: Array) -> tuple[Array, Array]:
     none = x.landmarks[..., :0, :]
     T, _ = chart.retract(x.T, none, delta[..., :6])
     Ts = x.Ts_world_cam
-    q = se3.apply(se3.inverse(Ts), x.landmarks[..., None, :])[..., 0, :]
-    step = delta[..., 6:].reshape(x.landmarks.shape)
-    dq = (step[..., None, :] @ Ts[..., :3, :3])[..., 0, :]
+    q = _turned(x.landmarks - Ts[..., :3, 3], Ts)
+    dq = _turned(delta[..., 6:].reshape(x.landmarks.shape), Ts)
     depth, share = q[..., 2:], dq[..., 2:] / q[..., 2:]
     growth = 1 / np.maximum(1 - share, np.minimum(depth / FARTHEST_M, 1.0))
     moved = np.concatenate([q[..., :2] + dq[..., :2] - q[..., :2] * share, depth], axis=-1)
@@ -49,10 +48,9 @@ def transport(x: Estimate, T_next: Array, landmarks_next: Array) -> Linear:
     keeps its direction, as in `vislam.filters.consistent.transport`, where
     M = ([I, -f'^] - D [I, -f^]) Ad(T).
     """
-    R_world_cam = x.Ts_world_cam[..., :3, :3]
-    to_cam = se3.inverse(x.Ts_world_cam)
-    q = se3.apply(to_cam, x.landmarks[..., None, :])[..., 0, :]
-    q_next = se3.apply(to_cam, landmarks_next[..., None, :])[..., 0, :]
+    Ts, R_world_cam = x.Ts_world_cam, x.Ts_world_cam[..., :3, :3]
+    q = _turned(x.landmarks - Ts[..., :3, 3], Ts)
+    q_next = _turned(landmarks_next - Ts[..., :3, 3], Ts)
     growth = q_next[..., 2] / q[..., 2]
     of_cam = np.zeros((*growth.shape, 3, 3))
     of_cam[..., 0, 0] = of_cam[..., 1, 1] = growth
@@ -62,6 +60,11 @@ def transport(x: Estimate, T_next: Array, landmarks_next: Array) -> Linear:
     M = (se3.odot(landmarks_next) - D @ se3.odot(x.landmarks)) @ se3.adjoint(x.T)[..., None, :, :]
     rows = (*landmarks_next.shape[:-2], 3 * landmarks_next.shape[-2], 6)
     return Linear(F=model.transition(x.T, T_next), M=M.reshape(rows), D=D)
+
+
+def _turned(x: Array, Ts: Array) -> Array:
+    """Each vector of the world in its camera's axes, shape (..., m, 3)."""
+    return np.asarray((x[..., None, :] @ Ts[..., :3, :3])[..., 0, :])
 
 
 def along_inverse_depth(parts: Parts) -> Parts:
