@@ -39,7 +39,7 @@ class Table:
     notes: tuple[str, ...] = ()
 
 
-def compare(paths: Sequence[Path]) -> Summary:
+def compare(paths: Sequence[Path | str]) -> Summary:
     """The summary of results.
 
     Args:
@@ -49,7 +49,7 @@ def compare(paths: Sequence[Path]) -> Summary:
         DatasetError: one of them is nothing like that.
         InputError: there is no row in them.
     """
-    summary = summarise((str(path), read(path)) for path in paths)
+    summary = summarise((str(path), read(Path(path))) for path in paths)
     if not summary["groups"]:
         raise InputError(f"{', '.join(map(str, paths))}: expected rows to compare, got none.")
     return summary

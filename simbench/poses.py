@@ -115,13 +115,13 @@ def parse_poses(text: str, where: str = "text") -> Poses:
     return Poses(times=times, Ts_world_imu=Ts_world_imu, quaternions=quaternions)
 
 
-def read_poses(path: Path) -> Poses:
+def read_poses(path: Path | str) -> Poses:
     """Read a file of any of the formats.
 
     Raises:
         DatasetError: the file cannot be read or is none of them; names file and line.
     """
-    return parse_poses(read_text(path), str(path))
+    return parse_poses(read_text(Path(path)), str(path))
 
 
 def format_poses(poses: Poses, kind: Format) -> str:
@@ -150,7 +150,7 @@ def format_poses(poses: Poses, kind: Format) -> str:
     return head + "".join(comma.join([t, *map(repr, row)]) + "\n" for t, row in lines)
 
 
-def write_poses(path: Path, poses: Poses, kind: Format) -> None:
+def write_poses(path: Path | str, poses: Poses, kind: Format) -> None:
     """Write a file, with the digits that keep every number exact.
 
     Raises:
@@ -158,11 +158,11 @@ def write_poses(path: Path, poses: Poses, kind: Format) -> None:
         OutputError: the operating system refused.
     """
     text = format_poses(poses, kind)
-    with replacing(path) as partial:
+    with replacing(Path(path)) as partial:
         partial.write_text(text)
 
 
-def write_tum(path: Path, times_s: Array, Ts_world_imu: Array) -> None:
+def write_tum(path: Path | str, times_s: Array, Ts_world_imu: Array) -> None:
     """Write a TUM file.
 
     Args:

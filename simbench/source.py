@@ -79,12 +79,13 @@ def kind_of(path: Path) -> Kind:
     return Kind.TRAJECTORY if path.suffix in _TRAJECTORY_SUFFIXES else Kind.SCENARIO
 
 
-def open_source(path: Path, told: Told = NOTHING) -> Dataset:
+def open_source(path: Path | str, told: Told = NOTHING) -> Dataset:
     """The dataset that a file holds, or that its scene makes.
 
     Raises:
         InputError: the file is not usable, or an option does not go with its kind.
     """
+    path = Path(path)
     kind = kind_of(path)
     refuse_misplaced(path, kind, told)
     dataset = _open(path, kind, told)

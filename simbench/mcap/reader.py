@@ -62,7 +62,7 @@ def summary(path: Path) -> Summary:
     )
 
 
-def read_dataset_mcap(path: Path) -> Dataset:
+def read_dataset_mcap(path: Path | str) -> Dataset:
     """The dataset of a recording, to the last bit.
 
     Of an unfinished recording, the frames up to its last simulated second; a note says so.
@@ -70,7 +70,7 @@ def read_dataset_mcap(path: Path) -> Dataset:
     Raises:
         DatasetError: it cannot be read, is no MCAP, is none of ours, is damaged, or has no frame.
     """
-    return dataset_of(read_contents(path))
+    return dataset_of(read_contents(Path(path)))
 
 
 def dataset_of(contents: "Contents") -> Dataset:

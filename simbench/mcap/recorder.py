@@ -32,7 +32,7 @@ PICTURE_SPACING_NS = SECOND_NS // 20
 
 @contextmanager
 def record_to(
-    path: Path,
+    path: Path | str,
     dataset: Dataset,
     filter_name: str | None = None,
     options: Mapping[str, Any] = MappingProxyType({}),
@@ -56,13 +56,13 @@ def record_to(
         DatasetError: a time of the dataset is no ROS stamp.
         OutputError: the operating system refused.
     """
-    with replacing(path) as partial, partial.open("wb") as stream:
+    with replacing(Path(path)) as partial, partial.open("wb") as stream:
         recorder = Recorder(stream, dataset, filter_name, options)
         yield recorder
         recorder.close()
 
 
-def write_dataset_mcap(path: Path, dataset: Dataset) -> None:
+def write_dataset_mcap(path: Path | str, dataset: Dataset) -> None:
     """Record a dataset alone: readings, and the truth where it is known.
 
     Raises:

@@ -39,13 +39,13 @@ class RecordedRun:
     metrics: dict[str, Any]
 
 
-def read_run_mcap(path: Path) -> RecordedRun:
+def read_run_mcap(path: Path | str) -> RecordedRun:
     """The run in a recording, as far as it got.
 
     Raises:
         DatasetError: as `read_dataset_mcap`; or the recording holds no run.
     """
-    contents = read_contents(path)
+    contents = read_contents(Path(path))
     dataset = dataset_of(contents)
     name = contents.metadata["simbench"]["filter"]
     if not contents.messages.get("/estimate/odometry"):

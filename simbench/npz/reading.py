@@ -27,7 +27,7 @@ from vislam.types import Belief, Calibration, Noise
 
 
 def read_npz(
-    path: Path,
+    path: Path | str,
     *,
     imu_frame: ImuFrame | None = None,
     extrinsics: Extrinsics | None = None,
@@ -50,6 +50,7 @@ def read_npz(
     Raises:
         DatasetError: the file is no usable dataset; names the file and the key.
     """
+    path = Path(path)
     contents = check(path)
     arrays = contents.arrays
     rig = _rig(contents, arrays["b"])

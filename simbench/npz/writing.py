@@ -18,7 +18,7 @@ from vislam.arrays import Array
 from vislam.point import PointSensor
 
 
-def write_npz(path: Path, dataset: Dataset, dialect: Dialect = DEFAULT) -> None:
+def write_npz(path: Path | str, dataset: Dataset, dialect: Dialect = DEFAULT) -> None:
     """Write a dataset in the format of the course, with our own keys beside the format's.
 
     Equal datasets give equal bytes. No angular rate is exactly zero and no disparity: readers
@@ -49,7 +49,7 @@ def write_npz(path: Path, dataset: Dataset, dialect: Dialect = DEFAULT) -> None:
     features = None
     if isinstance(dataset.sightings, Sightings) and dialect.year != "2021":
         features = _features(dataset.sightings, (4, dataset.landmark_count, len(dataset)))
-    with replacing(path) as partial:
+    with replacing(Path(path)) as partial:
         if dialect.year == "2025":
             _write_dict(partial, _format_2025(dataset, dialect) | arrays, features)
             return

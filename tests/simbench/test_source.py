@@ -4,8 +4,13 @@ import numpy as np
 import pytest
 
 from simbench.errors import DatasetError, InputError
+from simbench.filters import resolve
+from simbench.mcap import read_dataset_mcap, read_run_mcap, record_to
+from simbench.metrics import metrics
+from simbench.npz import read_npz, write_npz
 from simbench.outputs import write_dataset
-from simbench.poses import write_tum
+from simbench.poses import read_poses, write_tum
+from simbench.run import run
 from simbench.source import Kind, Told, kind_of, open_source
 
 SCENE = """
@@ -74,3 +79,18 @@ def test_a_trajectory_is_no_source_and_says_how_to_become_one(files):
 def test_what_is_not_there_is_said(tmp_path):
     with pytest.raises(InputError, match=r"nothing\.yaml: expected a file"):
         open_source(tmp_path / "nothing.yaml")
+
+
+def test_readers_and_writers_take_a_path_as_text(tmp_path):
+    scene = tmp_path / "small.yaml"
+    scene.write_text(SCENE)
+    dataset = open_source(str(scene))
+    npz, mcap, tum = (f"{tmp_path}/small.{kind}" for kind in ("npz", "mcap", "tum"))
+    write_npz(npz, dataset)
+    with record_to(mcap, dataset, "slam") as recorder:
+        record = run(dataset, resolve("slam"), on_step=recorder.step)
+        recorder.finish(record, metrics(record))
+    write_tum(tum, dataset.times_s, record.T_world_imu)
+    for read in (read_npz(npz), read_dataset_mcap(mcap), read_run_mcap(mcap).record.dataset):
+        assert np.array_equal(read.times_s, dataset.times_s)
+    assert len(read_poses(tum).Ts_world_imu) == len(dataset)

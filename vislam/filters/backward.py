@@ -109,7 +109,7 @@ class Later:
         """
         weight = P @ self.information
         np.einsum("...ii->...i", weight)[...] += 1
-        both = np.linalg.solve(weight, P[..., rows])
+        both = np.asarray(np.linalg.solve(weight, P[..., rows]))
         return _times(transposed(both), self.vector), symmetrised(both[..., rows, :])
 
     def before(self, record: "Past") -> "Later":

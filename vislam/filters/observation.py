@@ -63,9 +63,9 @@ class Observation:
         """What the gate let pass, (..., k): the rest goes, or in a batch turns zero."""
         if accepted.all():
             return self
-        rows = np.repeat(accepted, 3, axis=-1)
+        each_row = np.repeat(accepted, 3, axis=-1)
         if accepted.ndim == 1:
-            rows = np.flatnonzero(rows)
+            rows = np.flatnonzero(each_row)
             return Observation(
                 slots=self.slots[accepted],
                 H_pose=self.H_pose[accepted],
@@ -74,14 +74,14 @@ class Observation:
                 HP=self.HP.take(rows, axis=0),
                 S=self.S.take(rows, axis=0).take(rows, axis=1),
             )
-        both = rows[..., :, None] & rows[..., None, :]
+        both = each_row[..., :, None] & each_row[..., None, :]
         each = accepted[..., None, None]
         return Observation(
             slots=self.slots,
             H_pose=self.H_pose * each,
             H_map=self.H_map * each,
             r=self.r * accepted[..., None],
-            HP=self.HP * rows[..., None],
+            HP=self.HP * each_row[..., None],
             S=np.where(both, self.S, np.eye(self.S.shape[-1])),
         )
 
