@@ -110,7 +110,7 @@ PAST = (
     click.option(
         "--landmarks",
         type=click.Choice(["cartesian", "inverse-depth"]),
-        help="How they move; default cartesian, of a real drive inverse-depth.",
+        help="How they move, where a filter can; default cartesian, of a real drive inverse-depth.",
     ),
 )
 

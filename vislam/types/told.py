@@ -120,7 +120,7 @@ class Task:
             that does not know the last ones; a later sighting starts a new landmark. None for
             never.
         inverse_depth: whether landmarks move along their inverse depth, which keeps far ones
-            consistent (`vislam.filters.inverse_depth`).
+            consistent (`vislam.filters.inverse_depth`), in a filter that can move them so.
         smooth: whether the past poses are wanted at the end, from a filter that can give them.
         rng: for a filter that needs chance.
     """
