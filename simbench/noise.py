@@ -82,7 +82,7 @@ def estimate(dataset: Dataset) -> Estimate:
     z = _valid(dataset)
     if len(z):
         epipolar_px = sigma_px = float(_spread(z[:, 1] - z[:, 3]) / np.sqrt(2))
-        pairs = _Pairs.of(dataset, twists)
+        pairs = Pairs.of(dataset, twists)
         predicted_px, sigma_u[3:] = _by_prediction(pairs, sigma_u)
         sigma_px = (
             max(epipolar_px, SIGMA_PX)
@@ -108,10 +108,11 @@ def by_this_and_next_sample(dataset: Dataset) -> tuple[float, float] | None:
     dataset = without_repeats(dataset)
     if not len(_valid(dataset)):
         return None
-    frame, z, z_next = _seen_again(dataset, lag=1)
+    first, second, frame = _seen_again(dataset, lag=1)
     if not len(frame):
         return None
     rig, T_imu_cam = dataset.calibration.stereo, dataset.calibration.T_imu_cam
+    z, z_next = _pixels(dataset, first, second)
     twists = np.hstack([dataset.linear_velocity, dataset.angular_velocity])
     medians = []
     for samples in (twists, np.concatenate([twists[1:], twists[-1:]])):
@@ -158,63 +159,106 @@ def _valid(dataset: Dataset) -> Array:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Pairs:
-    """Features seen in two frames that lie `LAG` apart, the later predicted from the earlier.
+class Pairs:
+    """Features seen in two frames, the later sighting predicted from the earlier.
 
     Whitened for a pixel noise of one, and linear in what the motion between is off by.
 
     Attributes:
+        frame: the earlier one of each pair of frames, shape (F,).
         start: of each pair of frames among the features, shape (F,).
+        first, second: places of both sightings in the dataset's, shape (n,).
         residual: shape (n, 3).
         J: its derivative by the motion's error, in the IMU frame of the later, shape (n, 3, 6).
         interval_s: mean time between frames.
     """
 
+    frame: IntArray
     start: IntArray
+    first: IntArray
+    second: IntArray
     residual: Array
     J: Array
     interval_s: float
 
+    @property
+    def of_feature(self) -> IntArray:
+        """The pair of frames of each feature, shape (n,)."""
+        return np.repeat(
+            np.arange(len(self.start)), np.diff(np.append(self.start, len(self.residual)))
+        )
+
     @classmethod
-    def of(cls, dataset: Dataset, twists: Array) -> "_Pairs":
+    def of(cls, dataset: Dataset, twists: Array, lag: int = LAG) -> "Pairs":
+        """Those that lie `lag` frames apart, the motion between by twists of shape (T, 6)."""
         rig, T_imu_cam = dataset.calibration.stereo, dataset.calibration.T_imu_cam
-        frame, z, z_next = _seen_again(dataset)
-        motion = _motions(dataset.times_s, twists)[frame]
+        first, second, frame = _seen_again(dataset, lag)
+        z, z_next = _pixels(dataset, first, second)
+        motion = _motions(dataset.times_s, twists, lag)[frame]
         s = se3.apply(motion, se3.apply(T_imu_cam, triangulate(rig, z))[:, None])[:, 0]
         q = se3.apply(se3.inverse(T_imu_cam), s)
         front = in_front(q)
-        frame, motion, z, z_next = frame[front], motion[front], z[front], z_next[front]
-        s, q = s[front], q[front]
+        frame, first, second = frame[front], first[front], second[front]
+        motion, z, z_next, s, q = motion[front], z[front], z_next[front], s[front], q[front]
         R_cam_imu = T_imu_cam[:3, :3].T
         d_pixels_d_s = d_project_d_point(rig, q) @ R_cam_imu
         through = d_pixels_d_s @ motion[:, :3, :3] @ T_imu_cam[:3, :3]
         A = GATHERED @ through @ d_triangulate_d_reading(rig, z)
         W = np.linalg.inv(np.linalg.cholesky(np.eye(ROWS) + A @ A.swapaxes(1, 2)))
+        frames, start = np.unique(frame, return_index=True)
         return cls(
-            start=np.unique(frame, return_index=True)[1],
+            frame=frames,
+            start=start,
+            first=first,
+            second=second,
             residual=(W @ GATHERED @ (z_next - project(rig, q))[..., None])[..., 0],
             J=W @ GATHERED @ d_pixels_d_s @ se3.odot(s),
-            interval_s=float(np.mean(np.diff(dataset.times_s))),
+            interval_s=float(np.ptp(dataset.times_s)) / max(len(dataset) - 1, 1),
         )
 
+    def left_by(self, x: Array) -> Array:
+        """The square of what is left where the motions are off by x, shape (F, 6) to (n,)."""
+        explained = np.einsum("nij,nj->ni", self.J, x[self.of_feature])
+        left: Array = np.square(self.residual - explained).sum(axis=1)
+        return left
 
-def _seen_again(dataset: Dataset, lag: int = LAG) -> tuple[IntArray, Array, Array]:
-    """Frame and pixels of valid sightings that have another one `lag` frames later, and that."""
+    def motion_errors(self, weight: Array, information: Array) -> tuple[Array, Array]:
+        """What the motions are off by, (F, 6), and its covariance, (F, 6, 6).
+
+        Args:
+            weight: of each feature, its inverse pixel variance or 0, shape (n,).
+            information: inverse covariance of the motions' errors, shape (6, 6) or (F, 6, 6).
+        """
+        weighted = self.J.swapaxes(1, 2) * weight[:, None, None]
+        H = np.add.reduceat(weighted @ self.J, self.start)
+        g = np.add.reduceat((weighted @ self.residual[..., None])[..., 0], self.start)
+        P = np.asarray(np.linalg.inv(H + information))
+        return (P @ g[..., None])[..., 0], P
+
+
+def _seen_again(dataset: Dataset, lag: int) -> tuple[IntArray, IntArray, IntArray]:
+    """Valid sightings with another one `lag` frames later: places of both, and the first frame."""
     sightings = dataset.sightings
     if not isinstance(sightings, Sightings):
         raise TypeError("Expected the sightings of a stereo pair.")
     frame = np.repeat(np.arange(len(dataset)), np.diff(sightings.start))
-    valid = validity(dataset.calibration.stereo, sightings.pixels) == Validity.VALID
-    frame, pixels = frame[valid], sightings.pixels[valid]
+    rig = dataset.calibration.stereo
+    place = np.flatnonzero(validity(rig, sightings.pixels) == Validity.VALID)
     # frames ascend, and ids within a frame, so keys do
-    keys = frame * dataset.landmark_count + sightings.ids[valid]
+    keys = frame[place] * dataset.landmark_count + sightings.ids[place]
     sought = keys + lag * dataset.landmark_count
     later = np.minimum(np.searchsorted(keys, sought), len(keys) - 1)
     paired = keys[later] == sought
-    return frame[paired], pixels[paired], pixels[later[paired]]
+    return place[paired], place[later[paired]], frame[place[paired]]
 
 
-def _motions(times_s: Array, twists: Array, lag: int = LAG) -> Array:
+def _pixels(dataset: Dataset, first: IntArray, second: IntArray) -> tuple[Array, Array]:
+    """Those of both sightings of pairs, shapes (n, 4)."""
+    assert isinstance(dataset.sightings, Sightings)
+    return dataset.sightings.pixels[first], dataset.sightings.pixels[second]
+
+
+def _motions(times_s: Array, twists: Array, lag: int) -> Array:
     """Points of the IMU frame at each frame in that `lag` frames later, shape (T - lag, 4, 4)."""
     steps = se3.exp(-np.diff(times_s)[:, None] * twists[:-1])
     motions = np.broadcast_to(np.eye(4), (max(len(steps) - lag + 1, 0), 4, 4))
@@ -223,7 +267,7 @@ def _motions(times_s: Array, twists: Array, lag: int = LAG) -> Array:
     return motions
 
 
-def _by_prediction(pairs: _Pairs, sigma_u: Array) -> tuple[float | None, Array]:
+def _by_prediction(pairs: Pairs, sigma_u: Array) -> tuple[float | None, Array]:
     """Pixel sigma and those of the angular rates, (3,), that explain what predictions are off by.
 
     The former is None where the features are too few to say anything beside the motion.
@@ -233,22 +277,20 @@ def _by_prediction(pairs: _Pairs, sigma_u: Array) -> tuple[float | None, Array]:
     (expectation-maximisation). Velocities have a part in x, but nothing is concluded of them: how
     fast it goes the cameras say by depth, which real stereo gets wrong by more than odometry does.
     """
-    r, J, start = pairs.residual, pairs.J, pairs.start
-    if len(r) < MIN_PAIRS:
+    count = len(pairs.residual)
+    if count < MIN_PAIRS:
         return None, sigma_u[3:]
-    frame = np.repeat(np.arange(len(start)), np.diff(np.append(start, len(r))))
     per_step = LAG * pairs.interval_s**2
     floor = np.repeat([VELOCITY_BOUNDS[0], ANGULAR_BOUNDS[0]], 3)
     variance = per_step * np.maximum(sigma_u, floor) ** 2
-    x, explained = np.zeros((len(start), 6)), 0.0
+    x, explained = np.zeros((len(pairs.start), 6)), 0.0
     for _ in range(ROUNDS):
-        left = np.square(r - np.einsum("nij,nj->ni", J, x[frame])).sum(axis=1)
-        free = max(1 - explained / r.size, 0.1)  # the share of a residual that x cannot take up
+        left = pairs.left_by(x)
+        # the share of a residual that x cannot take up
+        free = max(1 - explained / pairs.residual.size, 0.1)
         accepted = left <= GATE / free * np.median(left) / MEDIAN
         px2 = max(left[accepted].mean() / (GATED_MEAN * free), PIXEL_BOUNDS[0] ** 2)
-        H, g = _normal_equations(r, J, start, accepted / px2)
-        P = np.linalg.inv(H + np.diag(1 / variance))
-        x = (P @ g[..., None])[..., 0]
+        x, P = pairs.motion_errors(accepted / px2, np.diag(1 / variance))
         own = np.einsum("nii->ni", P)
         explained = float(np.sum(1 - own / variance))
         variance = np.mean(np.minimum(x**2, 9 * variance) + own, axis=0)
@@ -256,11 +298,3 @@ def _by_prediction(pairs: _Pairs, sigma_u: Array) -> tuple[float | None, Array]:
         float(np.sqrt(px2)) if free > LEAST_FREE else None,
         np.sqrt(variance[3:] / per_step),
     )
-
-
-def _normal_equations(r: Array, J: Array, start: IntArray, weight: Array) -> tuple[Array, Array]:
-    """The sums of J^T w J and J^T w r over the features of each pair of frames."""
-    weighted = J.swapaxes(1, 2) * weight[:, None, None]
-    H = np.add.reduceat(weighted @ J, start)
-    g = np.add.reduceat((weighted @ r[..., None])[..., 0], start)
-    return H, g

@@ -2,8 +2,13 @@
 
 Real files of the format hold them: where a tracker searches new features, about every seventh
 frame, all tracks that go on have the pixels of the frame before, to the last bit, while the vehicle
-moved. The track then goes on from those pixels in the new image, that is on another point of the
-world. A filter that takes it for the same point sees the vehicle stand still once in seven frames.
+moved. A filter that takes such a sighting for one sees the vehicle stand still. What comes after is
+one of two things, and the next sighting tells which:
+
+* The tracker looks on from those pixels in the new image, that is at another point of the world: so
+  do the real files, whose next sighting lies as near to the repeated one, moved on by a frame, as
+  any sighting to the one before. The repeated sighting is then the first of a new landmark.
+* The picture stood still, and the next one shows the same point where it went meanwhile.
 """
 
 from dataclasses import replace
@@ -21,25 +26,32 @@ MOVED_PX = 0.5
 
 
 def without_repeats(dataset: Dataset) -> Dataset:
-    """The same drive without repeated sightings; a track goes on after one as a new landmark.
+    """The same drive with no sighting of a landmark where it was in the frame before.
 
-    A track up to its first repeat keeps its id; what follows gets ids from `landmark_count` on. The
-    dataset itself comes back where nothing is repeated, and where the truth is known: there a
-    landmark is what the truth calls so.
+    A repeated sighting is left out; where tracks slid on to another point, the last one of a row
+    stays, as the first of a new landmark. A track keeps its id up to there; what follows gets ids
+    from `landmark_count` on. The dataset itself comes back where nothing is repeated, and where the
+    truth is known: there a landmark is what the truth calls so.
     """
     sightings = dataset.sightings
     if dataset.truth is not None or not isinstance(sightings, Sightings):
         return dataset
     twists = np.hstack([dataset.linear_velocity, dataset.angular_velocity])
-    repeated = repeats(dataset.calibration, dataset.times_s, twists, sightings)
+    drive = dataset.calibration, dataset.times_s, twists, sightings
+    repeated = repeats(*drive)
     if not repeated.any():
         return dataset
-    kept = broken(sightings, repeated, dataset.landmark_count)
+    slid = slides(*drive, repeated)
+    kept = (
+        _slid(sightings, repeated, dataset.landmark_count)
+        if slid
+        else only(sightings, sightings.ids, ~repeated)
+    )
     frames = len(np.unique(_frames(sightings)[repeated]))
+    fate = "start new landmarks, at which the tracks go on" if slid else "are left out"
     note = (
         f"{np.count_nonzero(repeated)} sightings in {frames} of {len(dataset)} frames repeat those "
-        "of the frame before to the last bit although the vehicle moved: they are left out, and "
-        "their tracks go on as new landmarks."
+        f"of the frame before to the last bit although the vehicle moved: they {fate}."
     )
     return replace(
         dataset,
@@ -54,8 +66,9 @@ def repeats(
 ) -> BoolArray:
     """Which sightings repeat that of the frame before, shape (S,).
 
-    A frame repeats where all features that it shares with the one before are equal to the last bit,
-    and the measured motion says that the median one of them moved.
+    A frame repeats where most features that it shares with the one before are equal to the last
+    bit, and the measured motion says that the median one of them moved. The others of such a frame
+    were seen anew.
 
     Args:
         calibration: of the rig, its convention resolved.
@@ -64,54 +77,138 @@ def repeats(
         sightings: features by frame.
     """
     repeated = np.zeros(len(sightings), bool)
-    T_imu_cam, rig, start = calibration.T_imu_cam, calibration.stereo, sightings.start
-    for i, tau in enumerate(np.diff(times_s)):
+    start = sightings.start
+    steps = _in_camera(calibration, se3.exp(-np.diff(times_s)[:, None] * twists[:-1]))
+    for i, step in enumerate(steps):
         before, now = (slice(start[k], start[k + 1]) for k in (i, i + 1))
         _, a, b = np.intersect1d(
             sightings.ids[before], sightings.ids[now], assume_unique=True, return_indices=True
         )
         pixels = sightings.pixels[before][a]
-        if not len(a) or not np.array_equal(pixels, sightings.pixels[now][b]):
+        equal = np.all(pixels == sightings.pixels[now][b], axis=-1)
+        if 2 * np.count_nonzero(equal) <= len(equal):
             continue
-        pixels = pixels[validity(rig, pixels) == Validity.VALID]
-        step = se3.inverse(T_imu_cam) @ se3.exp(-tau * twists[i]) @ T_imu_cam
-        points = triangulate(rig, pixels)
-        q = se3.apply(step, points)
-        front = in_front(q)
-        shift = np.linalg.norm(
-            (project(rig, q[front]) - project(rig, points[front]))[:, :2], axis=1
-        )
-        if len(shift) and np.median(shift) > MOVED_PX:
-            repeated[start[i + 1] + b] = True
+        level = pixels[equal]
+        level[:, 1::2] = level[:, 1::2].mean(axis=1, keepdims=True)  # as it is triangulated
+        shift = np.linalg.norm(_off(calibration, step, level, level), axis=1)
+        if not np.isnan(shift).all() and np.nanmedian(shift) > MOVED_PX:
+            repeated[start[i + 1] + b[equal]] = True
     return repeated
 
 
-def broken(sightings: Sightings, repeated: BoolArray, landmark_count: int) -> Sightings:
-    """Without the repeated sightings, and with a new id for what follows one on its track.
+def slides(
+    calibration: Calibration,
+    times_s: Array,
+    twists: Array,
+    sightings: Sightings,
+    repeated: BoolArray,
+) -> bool:
+    """Whether tracks go on from where they were repeated, and not from where they were seen.
+
+    It is the one from which the measured motion predicts the next sightings nearer, but for the
+    shift that all features of a frame have in common: what a noisy rate of turn makes of it says
+    nothing.
+
+    Args:
+        calibration: of the rig, its convention resolved.
+        times_s: frames, shape (T,).
+        twists: measured, (v, omega), shape (T, 6).
+        sightings: features by frame.
+        repeated: which of them repeat, shape (S,).
+    """
+    order = np.argsort(sightings.ids, kind="stable")
+    ids, pixels = sightings.ids[order], sightings.pixels[order]
+    frame, again = _frames(sightings)[order], repeated[order]
+    held = np.flatnonzero(again[:-1] & ~again[1:] & (ids[:-1] == ids[1:]))
+    seen = np.flatnonzero(~again)
+    before = seen[np.searchsorted(seen, held) - 1]  # a track never starts with a repeated sighting
+    T = np.concatenate([np.eye(4)[None], se3.exp(np.diff(times_s)[:, None] * twists[:-1])])
+    for i in range(1, len(T)):
+        T[i] = T[i - 1] @ T[i]
+    motions = (se3.inverse(T[frame[held + 1]]) @ T[frame[source]] for source in (before, held))
+    off = np.stack(
+        [
+            _off(calibration, _in_camera(calibration, motion), pixels[held], pixels[held + 1])
+            for motion in motions
+        ]
+    )
+    known = np.isfinite(off).all(axis=(0, 2))
+    off, next_frame = off[:, known], frame[held + 1][known]
+    for i in np.unique(next_frame):
+        off[:, next_frame == i] -= np.median(off[:, next_frame == i], axis=1, keepdims=True)
+    from_before, from_held = np.linalg.norm(off, axis=-1).sum(axis=1)
+    return bool(from_held <= from_before)
+
+
+def _slid(sightings: Sightings, repeated: BoolArray, landmark_count: int) -> Sightings:
+    """With a new landmark from the last repeated sighting of a row on, without those before it."""
+    by_track = np.argsort(sightings.ids, kind="stable")
+    ids, again = sightings.ids[by_track], repeated[by_track]
+    goes_on = np.append((ids[1:] == ids[:-1]) & again[1:], False)  # the next one repeats this one
+    starts, kept = np.empty(len(ids), bool), np.empty(len(ids), bool)
+    starts[by_track], kept[by_track] = again & ~goes_on, ~(again & goes_on)
+    return broken(sightings, starts, kept, landmark_count)
+
+
+def broken(
+    sightings: Sightings, starts: BoolArray, kept: BoolArray, landmark_count: int
+) -> Sightings:
+    """Tracks broken in parts: each goes on under a new id where a new landmark starts.
 
     Args:
         sightings: features by frame.
-        repeated: which of them repeat, shape (S,).
+        starts: which of them are the first of a new landmark, shape (S,).
+        kept: which of them stay, shape (S,).
         landmark_count: the first new id.
     """
     by_track = np.argsort(sightings.ids, kind="stable")
     ids = sightings.ids[by_track]
     first = np.diff(ids, prepend=-1) != 0
-    so_far = np.cumsum(repeated[by_track])
-    part = so_far - np.repeat(so_far[first], np.diff(np.append(np.flatnonzero(first), len(ids))))
+    so_far = np.cumsum(starts[by_track])
+    before = so_far[first] - starts[by_track][first]
+    part = so_far - np.repeat(before, np.diff(np.append(np.flatnonzero(first), len(ids))))
     _, renamed = np.unique(np.stack([ids, part])[:, part > 0], axis=1, return_inverse=True)
-    ids = ids.copy()
-    ids[part > 0] = landmark_count + renamed
-    new_ids = np.empty_like(ids)
-    new_ids[by_track] = ids
-    frame = _frames(sightings)
-    kept = np.flatnonzero(~repeated)
-    kept = kept[np.lexsort((new_ids[kept], frame[kept]))]
-    parts = np.searchsorted(frame[kept], np.arange(1, len(sightings.start) - 1))
+    new_ids = sightings.ids.copy()
+    new_ids[by_track[part > 0]] = landmark_count + renamed
+    return only(sightings, new_ids, kept)
+
+
+def only(sightings: Sightings, ids: IntArray, kept: BoolArray) -> Sightings:
+    """Some of the sightings, by a mask (S,), under ids of shape (S,)."""
+    frame, places = _frames(sightings), np.flatnonzero(kept)
+    places = places[np.lexsort((ids[places], frame[places]))]
+    parts = np.searchsorted(frame[places], np.arange(1, len(sightings.start) - 1))
     by_frame = zip(
-        np.split(new_ids[kept], parts), np.split(sightings.pixels[kept], parts), strict=True
+        np.split(ids[places], parts), np.split(sightings.pixels[places], parts), strict=True
     )
     return Sightings.from_frames(list(by_frame))
+
+
+def _in_camera(calibration: Calibration, motions: Array) -> Array:
+    """Motions of points in the IMU frame as motions in the camera's, shape (..., 4, 4)."""
+    return se3.inverse(calibration.T_imu_cam) @ motions @ calibration.T_imu_cam
+
+
+def _off(calibration: Calibration, motion: Array, pixels: Array, seen: Array) -> Array:
+    """How far in the left image features are seen from where a motion takes them, shape (n, 2).
+
+    NaN of one that is not valid, or that the motion takes behind the camera.
+
+    Args:
+        calibration: of the rig.
+        motion: one or one for each, of points in the camera frame, shape (4, 4) or (n, 4, 4).
+        pixels: before the motion, shape (n, 4).
+        seen: after it, shape (n, 4).
+    """
+    rig, off = calibration.stereo, np.full((len(pixels), 2), np.nan)
+    usable = np.flatnonzero(
+        (validity(rig, pixels) == Validity.VALID) & (validity(rig, seen) == Validity.VALID)
+    )
+    motion = np.broadcast_to(motion, (len(pixels), 4, 4))[usable]
+    q = se3.apply(motion, triangulate(rig, pixels[usable])[:, None])[:, 0]
+    usable, q = usable[in_front(q)], q[in_front(q)]
+    off[usable] = (seen[usable] - project(rig, q))[:, :2]
+    return off
 
 
 def _frames(sightings: Sightings) -> IntArray:

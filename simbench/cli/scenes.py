@@ -57,15 +57,13 @@ def run(
     """
     from simbench.filters import resolve
     from simbench.outputs import filter_of, options_of, record_run, write_comparison
-    from simbench.repeats import without_repeats
-    from simbench.run import RunOptions
+    from simbench.run import RunOptions, prepared
     from simbench.run import run as run_filter
 
     factories = {name: resolve(name) for name in names or (filter_of(source),)}
     opened = open_dataset(source, told)
-    dataset = without_repeats(opened)
-    # far landmarks are what a real drive has most of, and no scene is drawn to suit them
-    recorded = options_of(source) or RunOptions(inverse_depth=dataset.truth is None)
+    recorded = options_of(source)  # of a run, whose data are those that its filter was fed
+    dataset, recorded = (opened, recorded) if recorded else prepared(opened)
     asked = RunOptions(
         smooth=smooth or recorded.smooth,
         memory_bytes=memory or recorded.memory_bytes,

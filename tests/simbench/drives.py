@@ -11,6 +11,8 @@ from simbench.npz.dialects import Dialect
 from simbench.npz.layout import GROUPS
 from simbench.scenario import load
 from simbench.sensors import simulate
+from vislam.camera import project
+from vislam.lie import se3
 
 SCENE = Path(__file__).parents[2] / "scenarios/drive.yaml"
 
@@ -51,22 +53,38 @@ def with_jumps(data: Dataset, share=0.02, seed=0) -> Dataset:
 
 
 def with_repeats(data: Dataset, every=7) -> Dataset:
-    """Every so many frames all tracks repeat their pixels, and slide by what they missed."""
-    off = np.zeros((data.landmark_count, 4))
+    """Every so many frames all tracks repeat their pixels, and go on at the point seen there."""
+    rig, T_imu_cam = data.calibration.rig, data.calibration.T_imu_cam
+    T_world_cam = data.truth.T_world_imu @ T_imu_cam
+    points = data.truth.landmarks.copy()
     held = {}
 
     def slid(frame, ids, pixels):
-        out = pixels + off[ids]
+        to_cam = se3.inverse(T_world_cam[frame])
+        there, was = (se3.apply(to_cam, p[ids]) for p in (points, data.truth.landmarks))
+        seen = there[:, 2] > 1
+        out = np.full(pixels.shape, -1.0)
+        out[seen] = pixels[seen] + project(rig, there[seen]) - project(rig, was[seen])
         if frame and frame % every == 0:
             for k, i in enumerate(ids.tolist()):
                 if i in held:
-                    off[i] += held[i] - out[k]
                     out[k] = held[i]
+                    points[i] = se3.apply(T_world_cam[frame], se3.apply(before[0], points[i]))
+        before[:] = [to_cam]
         held.clear()
-        held.update(zip(ids.tolist(), out, strict=True))
+        held.update(zip(ids[seen].tolist(), out[seen], strict=True))
         return out
 
+    before = [np.eye(4)]
     return replace(data, sightings=with_pixels(data, slid))
+
+
+def with_standing_pictures(data: Dataset, every=7, frames=2) -> Dataset:
+    """Every so often the whole frame stays for some more, and the next one is right again."""
+    each = [data.frame(i) for i in range(len(data))]
+    each = [each[i - i % every if i % every <= frames else i] for i in range(len(data))]
+    sightings = Sightings.from_frames([(f.ids, f.pixels) for f in each])
+    return replace(data, sightings=sightings)
 
 
 def write_bare(path: Path, data: Dataset, dialect: str) -> Path:

@@ -15,6 +15,8 @@ from simbench.errors import InputError
 from simbench.mcap import record_to, summary
 from simbench.outputs import filter_of, options_of
 from simbench.run import RunOptions
+from tests.simbench import drives as real
+from tests.simbench.drives import with_jumps, with_repeats
 from tests.simbench.recordings import drive
 
 SCENE = """
@@ -54,6 +56,19 @@ def test_run_of_a_recording_repeats_it_to_the_last_byte(first, tmp_path, capsys)
         assert again.read_bytes() == first.with_suffix(suffix).read_bytes()
     again = tmp_path / first.with_suffix(".json").name
     assert without_wall_clock(again) == without_wall_clock(first.with_suffix(".json"))
+
+
+def test_the_run_of_a_real_drive_is_repeated_on_what_its_filter_was_fed(tmp_path, capsys):
+    """Its repeats and jumps were left out; looking for more would leave out others."""
+    data = with_jumps(with_repeats(real.drive(0.1, 0.05, 0.7, seconds=5.0, seed=1)), share=0.05)
+    path = real.write_bare(tmp_path / "d.npz", data, "2022")
+    out = [tmp_path / "first", tmp_path / "again"]
+    assert main(["run", str(path), "--filter", "slam", "--out", str(out[0])]) == 0
+    assert "jump for one frame" in capsys.readouterr().err
+    again = ["run", str(out[0] / "d.slam.mcap"), "--out", str(out[1])]
+    assert main(again) == 0
+    first, second = (directory / "d.slam.tum" for directory in out)
+    assert first.read_bytes() == second.read_bytes()
 
 
 def test_recording_says_how_it_was_made(first):
