@@ -10,7 +10,7 @@ from simbench.dataset import Dataset, PointSightings, Sightings
 from simbench.metrics import path_length
 from simbench.source import NOTHING, Kind, Told, kind_of, open_source, refuse_misplaced
 from vislam.arrays import Array
-from vislam.camera import StereoRig, Validity, triangulate, validity
+from vislam.camera import StereoRig, Validity, is_valid, triangulate, validity
 from vislam.filters.model import moved
 from vislam.point import PointSensor
 
@@ -141,7 +141,7 @@ def _statistics(dataset: Dataset) -> dict[str, Any]:
     if isinstance(sightings, PointSightings):
         return values | {"distance_m": _spread(np.linalg.norm(sightings.points, axis=1))}
     rig = dataset.calibration.stereo
-    usable = sightings.pixels[validity(rig, sightings.pixels) == Validity.VALID]
+    usable = sightings.pixels[is_valid(rig, sightings.pixels)]
     if len(usable):
         off = usable[:, 1] - usable[:, 3]
         values |= {

@@ -19,13 +19,12 @@ from simbench.dataset import Dataset, Sightings
 from simbench.repeats import without_repeats
 from vislam.arrays import Array, IntArray
 from vislam.camera import (
-    Validity,
     d_project_d_point,
     d_triangulate_d_reading,
     in_front,
+    is_valid,
     project,
     triangulate,
-    validity,
 )
 from vislam.lie import se3
 
@@ -154,7 +153,7 @@ def _valid(dataset: Dataset) -> Array:
     if not isinstance(dataset.sightings, Sightings):
         return np.empty((0, 4))
     pixels = dataset.sightings.pixels
-    usable: Array = pixels[validity(dataset.calibration.stereo, pixels) == Validity.VALID]
+    usable: Array = pixels[is_valid(dataset.calibration.stereo, pixels)]
     return usable
 
 
@@ -243,7 +242,7 @@ def _seen_again(dataset: Dataset, lag: int) -> tuple[IntArray, IntArray, IntArra
         raise TypeError("Expected the sightings of a stereo pair.")
     frame = np.repeat(np.arange(len(dataset)), np.diff(sightings.start))
     rig = dataset.calibration.stereo
-    place = np.flatnonzero(validity(rig, sightings.pixels) == Validity.VALID)
+    place = np.flatnonzero(is_valid(rig, sightings.pixels))
     # frames ascend, and ids within a frame, so keys do
     keys = frame[place] * dataset.landmark_count + sightings.ids[place]
     sought = keys + lag * dataset.landmark_count

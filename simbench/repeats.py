@@ -17,7 +17,7 @@ import numpy as np
 
 from simbench.dataset import Dataset, Sightings
 from vislam.arrays import Array, BoolArray, IntArray
-from vislam.camera import Validity, in_front, project, triangulate, validity
+from vislam.camera import in_front, is_valid, project, triangulate
 from vislam.lie import se3
 from vislam.types import Calibration
 
@@ -201,9 +201,7 @@ def _off(calibration: Calibration, motion: Array, pixels: Array, seen: Array) ->
         seen: after it, shape (n, 4).
     """
     rig, off = calibration.stereo, np.full((len(pixels), 2), np.nan)
-    usable = np.flatnonzero(
-        (validity(rig, pixels) == Validity.VALID) & (validity(rig, seen) == Validity.VALID)
-    )
+    usable = np.flatnonzero(is_valid(rig, pixels) & is_valid(rig, seen))
     motion = np.broadcast_to(motion, (len(pixels), 4, 4))[usable]
     q = se3.apply(motion, triangulate(rig, pixels[usable])[:, None])[:, 0]
     usable, q = usable[in_front(q)], q[in_front(q)]
