@@ -30,10 +30,10 @@ from vislam.filters.records import (
     times_blocks,
 )
 from vislam.gaussian import (
+    add_product,
     cholesky,
     solve_lower,
     square_root,
-    subtract_gram,
     symmetrised,
     transposed,
 )
@@ -134,8 +134,10 @@ class Later:
         columns = record.F if record.M is None else np.concatenate([record.F, record.M], axis=-2)
         part = slice(0, columns.shape[-2])  # the rows that A gathers into the pose's
         y[..., POSE] = _times(transposed(columns), y[..., part])
-        Y[..., POSE, :] = transposed(columns) @ Y[..., part, :]
-        Y[..., POSE] = Y[..., part] @ columns
+        cross = Y[..., part] @ columns
+        Y[..., POSE] = cross
+        Y[..., POSE, :] = transposed(cross)
+        Y[..., POSE, POSE] = symmetrised(transposed(columns) @ cross[..., part, :])
         if record.D is not None:
             D_T = transposed(record.D)
             y[..., MAP] = times_blocks(D_T, y[..., MAP, None])[..., 0]
@@ -164,7 +166,7 @@ class Later:
         rows = np.concatenate([R_T @ Y_N, _times(R_T, y_N)[..., None]], axis=-1)
         Z = solve_lower(cholesky(S), rows)
         self.vector[...] -= _times(transposed(Z[..., :-1]), Z[..., -1])
-        subtract_gram(self.information, Z[..., :-1])
+        add_product(self.information, -transposed(Z[..., :-1]), transposed(Z[..., :-1]))
 
     def _before_seen(self, record: Seen) -> "Later":
         """e+ = e - delta, and r = H e + v besides."""
@@ -194,7 +196,7 @@ class Later:
         y[..., POSE] += _times(transposed(G), y[..., new])
         Y[..., POSE] += Y[..., new] @ G
         Y[..., POSE, :] += transposed(G) @ Y[..., new, :]
-        return Later(vector=y[..., old], information=Y[..., old, old])
+        return Later(vector=y[..., old], information=Y[..., old, old].copy())
 
     def _before_drop(self, record: Drop) -> "Later":
         """Nothing is said of what has left."""
