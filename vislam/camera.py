@@ -116,6 +116,7 @@ def project(rig: StereoRig, p_cam: Array) -> Array:
 
 def project_or_nan(rig: StereoRig, p_cam: Array) -> Array:
     """As `project`, with pixels of NaN for what is not in front of the camera."""
+    p_cam = np.asarray(p_cam, float)
     if not (front := in_front(p_cam)).all():
         p_cam = np.where(front[..., None], p_cam, np.nan)
     return _projected(rig, p_cam)

@@ -15,7 +15,7 @@ from vislam.arrays import Array
 
 
 class NotPositiveDefinite(ValueError):
-    """An innovation covariance has lost its definiteness; the state before it was no covariance."""
+    """A matrix I + H P H^T has lost its definiteness: P is no covariance."""
 
 
 def cholesky(S: Array) -> Array:
@@ -28,7 +28,7 @@ def cholesky(S: Array) -> Array:
         return _cholesky_one(S) if S.ndim == 2 else np.asarray(np.linalg.cholesky(S))
     except np.linalg.LinAlgError as error:
         raise NotPositiveDefinite(
-            "Expected a positive definite innovation covariance. The state's covariance is not "
+            "Expected a positive definite matrix I + H P H^T. The state's covariance is not "
             "positive semidefinite, or not finite: check the prior and the noise that were told."
         ) from error
 
@@ -48,7 +48,8 @@ def solve_lower(L: Array, X: Array) -> Array:
     if X.shape[-1] == 1 and X.size:
         return np.asarray(dtrsv(L, X[:, 0], lower=1))[:, None]
     X = np.ascontiguousarray(X, float)
-    _solve_in_place(L, X)
+    if X.size:
+        _solve_in_place(L, X)
     return X
 
 
@@ -59,14 +60,14 @@ _ROWS = 96
 
 def _solve_in_place(L: Array, X: Array) -> None:
     rows = len(L)
-    if 0 < rows <= _ROWS:
+    if rows <= _ROWS:
         # X^T L^-T: X^T of an X by rows is in the order that BLAS works in
         dtrsm(1.0, L, X.T, side=1, lower=1, trans_a=1, overwrite_b=1)
-    elif rows:
-        upper, lower = slice(rows // 2), slice(rows // 2, None)
-        _solve_in_place(L[upper, upper], X[upper])
-        dgemm(-1.0, X[upper].T, L[lower, upper], 1.0, X[lower].T, trans_b=1, overwrite_c=1)
-        _solve_in_place(L[lower, lower], X[lower])
+    else:
+        first, rest = slice(rows // 2), slice(rows // 2, None)
+        _solve_in_place(L[first, first], X[first])
+        dgemm(-1.0, X[first].T, L[rest, first], 1.0, X[rest].T, trans_b=1, overwrite_c=1)
+        _solve_in_place(L[rest, rest], X[rest])
 
 
 def subtract_gram(P: Array, Y_T: Array) -> Array:
@@ -80,7 +81,7 @@ def subtract_gram(P: Array, Y_T: Array) -> Array:
 
 
 def add_product(C: Array, A: Array, B: Array) -> Array:
-    """C + A B^T in the place of C, for shapes (..., m, n), (..., m, k) and (..., n, k)."""
+    """C + A B^T in the place of a C of float64, shapes (..., m, n), (..., m, k) and (..., n, k)."""
     if C.ndim > 2 or not (C.size and C.flags.c_contiguous):
         C += A @ transposed(B)
     else:
@@ -101,7 +102,7 @@ def reuse_freed_memory() -> None:
 
 
 def square_root(Q: Array) -> Array:
-    """An R with Q = R R^T, for covariances of any rank, shape (..., c, c)."""
+    """An A with Q = A A^T, for covariances of any rank, shape (..., c, c)."""
     values, vectors = np.linalg.eigh(Q)
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0))[..., None, :])
 

@@ -194,9 +194,13 @@ def _by_chance(
 
 def _chance_cells(powers: Mapping[str, tuple[Share, ...]], runs: int) -> dict[str, Cell]:
     return {
-        column: Cell(caught=value >= RELIABLE, statistic=value, runs=runs, powers=shares)
+        column: Cell(
+            caught=shares[-1].value >= RELIABLE,
+            statistic=shares[-1].value,
+            runs=runs,
+            powers=shares,
+        )
         for column, shares in powers.items()
-        for value in [shares[-1].value]
     }
 
 

@@ -21,7 +21,7 @@ from vislam.filters.records import MAP, POSE, Augment, Correct, Linear, Record
 from vislam.filters.slam import EkfSlam
 from vislam.gaussian import gate_threshold, subtract_gram, transposed
 from vislam.lie import se3, so3
-from vislam.lie.series import stumpff
+from vislam.lie.series import polynomial
 from vislam.types import Calibration, Noise, Task, Twist
 
 Make: TypeAlias = Callable[[Task, Parts], EkfSlam]
@@ -55,9 +55,8 @@ def _no_transition(_: Array, T_next: Array) -> Array:
 def _transition_by_the_4x4_formula(T: Array, T_next: Array) -> Array:
     """I + X + c2 X^2 + c3 X^3: exact for X = u^, for X = u check but for a term in X^4."""
     xi = se3.log(se3.inverse(T_next) @ T)
-    X, angle = se3.ad(xi), np.linalg.norm(xi[..., 3:], axis=-1)
-    _, _, c2, c3 = (c[..., None, None] for c in stumpff(angle, 3))
-    return np.asarray(np.eye(6) + X + c2 * X @ X + c3 * X @ X @ X)
+    _, _, c2, c3 = so3.coefficients(xi[..., 3:], 3)
+    return polynomial(se3.ad(xi), 1, 1, c2, c3)
 
 
 def _process_noise_by_dt_once_too_often(noise: Noise, motion: Twist, dt: float) -> Array:

@@ -28,6 +28,11 @@ _SERVE = "import sys; sys.path[:] = {}; from simbench.campaign.child import main
 _ONE_THREAD = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 
+def _searched() -> list[str]:
+    """Where this process finds modules; it passes over what is no text."""
+    return [entry for entry in sys.path if isinstance(entry, str)]
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Answer:
     """What became of work.
@@ -56,7 +61,7 @@ class Child:
         self._directory = TemporaryDirectory(prefix="simbench-", ignore_cleanup_errors=True)
         self._log = Path(self._directory.name) / "log"
         self._process = subprocess.Popen(
-            [sys.executable, "-P", "-c", _SERVE.format(sys.path), str(self._log)],
+            [sys.executable, "-P", "-c", _SERVE.format(_searched()), str(self._log)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             env=os.environ | _ONE_THREAD,

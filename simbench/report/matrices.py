@@ -23,8 +23,7 @@ def matrix(saved: SavedMatrix) -> Section:
         for bug, columns in wrong.items()
         if columns
     )
-    shares = [power for row in saved.values() for cell in row.values() for power in cell.powers]
-    runs = max((power.runs * power.groups for power in shares), default=0)
+    runs = max((cell.runs for row in saved.values() for cell in row.values()), default=0)
     mistakes = [bug for bug in saved if bug not in BUGS or not BUGS[bug].control]
     caught = sum(any(cell.caught for cell in saved[bug].values()) for bug in mistakes)
     rest = (

@@ -113,6 +113,7 @@ class SavedCell(_Saved):
     caught: bool
     statistic: Finite | None
     reason: str
+    runs: int = 0
     powers: list[SavedPower] = []
     low: Finite | None = None
     high: Finite | None = None

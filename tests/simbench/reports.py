@@ -91,7 +91,13 @@ def matrix(text: str = "fused-twice") -> dict[str, Any]:
     return {
         text: {
             "audit": {"caught": True, "statistic": 3.0, "reason": text},
-            text: {"caught": True, "statistic": 0.9, "reason": text, "powers": [power]},
+            text: {
+                "caught": True,
+                "statistic": 0.9,
+                "reason": text,
+                "runs": 400,
+                "powers": [power],
+            },
             "ate": {"caught": False, "statistic": 1.2, "reason": "", "low": 1.1, "high": 1.3},
         },
         "pixel-noise-twice": {"audit": missed, text: missed},

@@ -11,7 +11,7 @@ from hypothesis.extra.numpy import arrays
 
 from tests.vislam.drives import drive, feed_together
 from vislam.camera import StereoRig
-from vislam.filters import DeadReckoning, EkfSlam, Mapping, Parts
+from vislam.filters import DeadReckoning, EkfSlam, Mapping, Parts, slam_invariant
 from vislam.filters.model import constant_prior, predictable, whitening
 from vislam.filters.observation import Observation
 from vislam.gaussian import NotPositiveDefinite, covariance_fault
@@ -254,3 +254,17 @@ def test_a_sigma_of_the_prediction_is_in_pixels():
         S = W @ (sigma_px**2 * np.ones((4, 4))) @ W.T
         within = predictable(drive(np.ones((1, 1), bool)).task.calibration, whole, S[None])
         assert within.tolist() == [sigma_px < 1242]
+
+
+@pytest.mark.parametrize("kind", [np.int64, np.float32])
+def test_a_prior_of_other_numbers_is_one_of_floats(kind):
+    """np.diag([1, 1, 1, 1, 1, 1]) is a natural way to say it."""
+    d = drive(np.ones((2, 3), bool))
+    for factory in (EkfSlam, slam_invariant):
+        covariances = []
+        for number in (float, kind):
+            prior = replace(d.task.prior, pose_covariance=np.eye(6, dtype=number))
+            filter_ = factory(replace(d.task, prior=prior))
+            filter_.predict(*d.twists[0])
+            covariances.append(filter_.belief().pose_covariance)
+        np.testing.assert_allclose(covariances[1], covariances[0], rtol=1e-12)

@@ -16,7 +16,7 @@ def definite(rng, size):
     return A @ A.T / size + 1e-3 * np.eye(size)
 
 
-@pytest.mark.parametrize("columns", [1, 7, 156])
+@pytest.mark.parametrize("columns", [0, 1, 7, 156])
 @pytest.mark.parametrize("rows", [0, 1, 95, 96, 97, 150, 193, 450])
 def test_a_triangular_solve_is_scipy_s_at_any_size(rows, columns):
     rng = np.random.default_rng(rows)

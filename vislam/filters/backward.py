@@ -113,7 +113,11 @@ class Later:
         return _times(transposed(both), self.vector), symmetrised(both[..., rows, :])
 
     def before(self, record: "Past") -> "Later":
-        """The same data, by the error of the state before a record; this one is given up."""
+        """The same data, by the error of the state before a record; this one is given up.
+
+        Raises:
+            NotPositiveDefinite: a record is not finite.
+        """
         match record:
             case Linear():
                 return self._before_linear(record)
@@ -145,25 +149,25 @@ class Later:
             Y[..., MAP] = transposed(times_blocks(D_T, transposed(Y[..., MAP])))
         return self
 
-    def _integrate_out(self, N: Array | None, R: Array) -> None:
-        """Integrate out v ~ N(0, I) of e + N R v, N the pose's columns by default: rank 6."""
+    def _integrate_out(self, N: Array | None, root: Array) -> None:
+        """Integrate out v ~ N(0, I) of e + N root v, N the pose's columns by default: rank 6."""
         y, Y = self.vector, self.information
         if N is None:
-            self._less(y[..., POSE], Y[..., POSE, :], Y[..., POSE, POSE], R)
+            self._less(y[..., POSE], Y[..., POSE, :], Y[..., POSE, POSE], root)
         else:
             N_T = transposed(N)
             Y_N = N_T @ Y
-            self._less(_times(N_T, y), Y_N, Y_N @ N, R)
+            self._less(_times(N_T, y), Y_N, Y_N @ N, root)
 
-    def _less(self, y_N: Array, Y_N: Array, info: Array, R: Array) -> None:
-        """Take off what R v hides, of which y_N and Y_N are the rows, and info the square.
+    def _less(self, y_N: Array, Y_N: Array, info: Array, root: Array) -> None:
+        """Take off what root v hides, of which y_N and Y_N are the rows, and info the square.
 
-        With L L^T = I + R^T info R and Z = L^-1 R^T: Z^T Z for the rows.
+        With L L^T = I + root^T info root and Z = L^-1 root^T Y_N: Z^T Z.
         """
-        R_T = transposed(R)
-        S = R_T @ info @ R
+        root_T = transposed(root)
+        S = root_T @ info @ root
         np.einsum("...ii->...i", S)[...] += 1
-        rows = np.concatenate([R_T @ Y_N, _times(R_T, y_N)[..., None]], axis=-1)
+        rows = np.concatenate([root_T @ Y_N, _times(root_T, y_N)[..., None]], axis=-1)
         Z = solve_lower(cholesky(S), rows)
         self.vector[...] -= _times(transposed(Z[..., :-1]), Z[..., -1])
         add_product(self.information, -transposed(Z[..., :-1]), transposed(Z[..., :-1]))
@@ -191,8 +195,8 @@ class Later:
         y, Y, G = self.vector, self.information, record.G
         old = slice(0, y.shape[-1] - G.shape[-2])
         new = slice(old.stop, None)
-        R = block_diagonal(square_root(record.R))
-        self._less(y[..., new], Y[..., new, :], Y[..., new, new], R)
+        root = block_diagonal(square_root(record.R))
+        self._less(y[..., new], Y[..., new, :], Y[..., new, new], root)
         y[..., POSE] += _times(transposed(G), y[..., new])
         Y[..., POSE] += Y[..., new] @ G
         Y[..., POSE, :] += transposed(G) @ Y[..., new, :]
@@ -214,7 +218,7 @@ Past: TypeAlias = Linear | Seen | Augment | Drop | Kept
 
 
 def past(record: Record | Kept) -> Past:
-    """What to keep of it."""
+    """What the way back needs of a record, or of a state that was kept."""
     if not isinstance(record, Correct):
         return record
     return Seen(

@@ -1,7 +1,7 @@
 """The motion and the sensor model: what the paper's estimators share, in the right chart.
 
 Each function is one formula; a filter variant takes another in its place
-(`vislam.filters.slam.Parts`). A reading has c coordinates: four pixels of a stereo pair, or the
+(`vislam.filters.parts.Parts`). A reading has c coordinates: four pixels of a stereo pair, or the
 point itself of a point sensor.
 """
 
@@ -117,7 +117,7 @@ def whitening(noise: Noise, predicted: Array) -> Array:
     if not len(noise.sigma_px):
         weights: Array = np.eye(3) / noise.sigma(predicted)[..., None, :]
         return weights
-    uL, vL, uR, vR = noise.sigma_px.tolist()
+    uL, vL, uR, vR = map(float, noise.sigma_px)
     both = math.hypot(vL, vR)
     return np.array(
         [

@@ -37,7 +37,7 @@ class Observation:
     def of(
         cls, P: Array, *, slots: IntArray, H_pose: Array, H_map: Array, r: Array
     ) -> "Observation":
-        """Work out H P and S for a state of covariance P, shape (..., n, n)."""
+        """Work out H P and S for a state of covariance P, symmetric, shape (..., n, n)."""
         batch, n, k = P.shape[:-2], P.shape[-1], len(slots)
         rows = 6 + 3 * slots[:, None] + np.arange(3)
         pose = H_pose.reshape(*batch, 3 * k, 6)

@@ -71,7 +71,7 @@ class EkfSlam:
         self.x = Estimate.of(T, landmarks, T @ self.calibration.T_imu_cam)
         self._unseen = np.zeros(len(self.ids), np.int64)  # frames since each was sighted
         self._kept = np.zeros(len(self.ids), bool)  # the way back knows of it
-        self.P = np.broadcast_to(P, (*batch, *P.shape[-2:])).copy()
+        self.P = np.array(np.broadcast_to(P, (*batch, *P.shape[-2:])), float)
         if parts.from_right is not None:
             A = parts.from_right(T, landmarks)
             self.P = Linear(F=A[..., POSE, :], M=A[..., MAP, :]).forward(self.P)

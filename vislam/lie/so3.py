@@ -110,5 +110,6 @@ def random(rng: np.random.Generator, shape: tuple[int, ...] = ()) -> Array:
 
 def coefficients(phi: Array, highest: int) -> list[Array]:
     """Stumpff functions c_0 to c_highest of the angle of phi, (..., 3), each (..., 1, 1)."""
+    phi = np.asarray(phi, float)
     angle = np.sqrt(np.einsum("...i,...i->...", phi, phi))
     return stumpff(angle[..., None, None], highest)
