@@ -94,7 +94,7 @@ def observation_jacobians(
     s = to_imu(T, landmarks)
     d_z_d_q: Array = _of(calibration).d_project_d_point(calibration.rig, to_cam(calibration, s))
     d_z_d_s = d_z_d_q @ so3.inverse(calibration.T_imu_cam[:3, :3])
-    H_pose = -d_z_d_s @ se3.odot(s)
+    H_pose = np.concatenate([-d_z_d_s, d_z_d_s @ so3.hat(s)], axis=-1)
     H_map = d_z_d_s @ so3.inverse(T[..., None, :3, :3])
     return H_pose, H_map
 

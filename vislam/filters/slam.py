@@ -13,7 +13,7 @@ from functools import partial
 
 import numpy as np
 
-from vislam.arrays import Array, IntArray
+from vislam.arrays import Array, BoolArray, IntArray
 from vislam.charts import RIGHT
 from vislam.filters import model
 from vislam.filters.backward import Kept, Later
@@ -178,9 +178,7 @@ class EkfSlam:
         observation = self._observation(T_linear, landmarks_linear, slots, W, white)
         passed = model.predictable(self.calibration, W, observation.S_each)
         if self.gate is not None:
-            noise_only = np.square(white[..., 3:]).sum(axis=-1)
-            dof = white.shape[-1]
-            passed &= parts.gate(observation.distances() + noise_only, self.gate, dof)
+            passed &= self._within(self.gate, observation, white)
         first = correction = parts.correct(observation.only(passed))
         if parts.iterate is not None:
             sighted = readings[..., front, :]
@@ -200,6 +198,15 @@ class EkfSlam:
         accepted = np.zeros(readings.shape[:-1], bool)
         accepted[..., front] = passed
         return Innovation(ids=ids, residual=residual, whitened=whitened, accepted=accepted)
+
+    def _within(self, gate: float, observation: Observation, white: Array) -> BoolArray:
+        """Which sightings the gate accepts, of whitened residuals (..., k, c)."""
+        squared, dof = np.square(white), white.shape[-1]
+        within = self.parts.gate(squared.sum(axis=-1), gate, dof)  # S >= I: no distance is more
+        if within.all():
+            return within
+        distances = observation.distances() + squared[..., 3:].sum(axis=-1)
+        return self.parts.gate(distances, gate, dof)
 
     def _observation(
         self, T: Array, landmarks: Array, slots: IntArray, W: Array, white: Array
