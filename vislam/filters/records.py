@@ -49,21 +49,21 @@ class Linear:
         if self.D is not None:
             P[..., MAP, :] = times_blocks(self.D, P[..., MAP, :])
             P[..., MAP] = transposed(times_blocks(self.D, transposed(P[..., MAP])))
-        if self.M is None and self.N is None:
+        if self.M is None:
             P[..., POSE, MAP] = self.F @ P[..., POSE, MAP]
             P[..., MAP, POSE] = transposed(P[..., POSE, MAP])
-            pose = self.F @ P[..., POSE, POSE] @ transposed(self.F)
-            P[..., POSE, POSE] = symmetrised(pose if self.Q is None else pose + self.Q)
-            return P
-        M = np.zeros((*P.shape[:-2], P.shape[-1] - 6, 6)) if self.M is None else self.M
-        W = np.concatenate([self.F - np.eye(6), M], axis=-2)
-        V_T = P[..., POSE] + 0.5 * W @ P[..., POSE, POSE]
-        left, right = [W, V_T], [V_T, W]
+            P[..., POSE, POSE] = symmetrised(self.F @ P[..., POSE, POSE] @ transposed(self.F))
+        else:
+            W = np.concatenate([self.F - np.eye(6), self.M], axis=-2)
+            V_T = P[..., POSE] + 0.5 * W @ P[..., POSE, POSE]
+            left, right = np.concatenate([W, V_T], axis=-1), np.concatenate([V_T, W], axis=-1)
+            add_product(P, left, right)
         if self.Q is not None:
-            N = np.eye(P.shape[-1])[:, :6] if self.N is None else self.N
-            left.append(N @ self.Q)
-            right.append(N)
-        return add_product(P, np.concatenate(left, axis=-1), np.concatenate(right, axis=-1))
+            if self.N is None:
+                P[..., POSE, POSE] += symmetrised(self.Q)
+            else:
+                add_product(P, self.N @ self.Q, self.N)
+        return P
 
     def marginals(self, P: Array) -> tuple[Array, Array]:
         """Of the pose and of each landmark alone, what `forward` would give.
