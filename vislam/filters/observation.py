@@ -41,7 +41,7 @@ class Observation:
         batch, n, k = P.shape[:-2], P.shape[-1], len(slots)
         rows = 6 + 3 * slots[:, None] + np.arange(3)
         pose = H_pose.reshape(*batch, 3 * k, 6)
-        HP = (H_map @ P[..., rows, :]).reshape(*batch, 3 * k, n)
+        HP = (H_map @ P.take(rows, axis=-2)).reshape(*batch, 3 * k, n)
         add_product(HP, pose, P[..., POSE])
         S = (H_map @ transposed(HP)[..., rows, :]).reshape(*batch, 3 * k, 3 * k)
         add_product(S, pose, HP[..., POSE])

@@ -99,8 +99,10 @@ class EkfSlam:
         if new.any():
             self._give_birth(frame.ids[new], frame.readings[..., new, :])
         self._retire(frame.ids[frame.last])
-        skipped = ~usable & ~model.unseen(frame.there)
-        return replace(innovation, born=frame.ids[new], skipped=frame.ids[skipped])
+        unusable = np.flatnonzero(~usable)
+        if len(unusable):
+            unusable = unusable[~model.unseen(frame.there[..., unusable, :])]
+        return replace(innovation, born=frame.ids[new], skipped=frame.ids[unusable])
 
     def belief(self, joint: bool = False) -> Belief:
         """Pose and living landmarks; without the joint covariance in the paper's chart."""
