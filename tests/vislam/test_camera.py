@@ -221,6 +221,7 @@ FEATURES = [
     ("beyond the left border", [5, 200, -0.01, 200], Validity.OUTSIDE),
     ("beyond the upper border", [300, -0.01, 290, 200], Validity.OUTSIDE),
     ("beyond the lower border", [300, 200, 290, 375.01], Validity.OUTSIDE),
+    ("on the borders", [1241, 0, 0, 375], Validity.VALID),
     ("nearly -1", [300, 200, 290, np.nextafter(-1, 0)], Validity.OUTSIDE),
 ]
 
@@ -254,6 +255,11 @@ odd = st.sampled_from([-1.0, 0.0, 300.0, 299.0, 299.0000001, 1241.0, 5000.0, -1e
 def test_valid_is_what_validity_finds_valid(pixels, image_px):
     rig = replace(RIG, image_px=image_px)
     assert_array_equal(is_valid(rig, pixels), validity(rig, pixels) == Validity.VALID)
+
+
+@pytest.mark.parametrize(("about", "pixels", "found"), FEATURES)
+def test_a_feature_is_valid_where_validity_says_so(about, pixels, found):
+    assert is_valid(RIG, np.array(pixels)) == (found is Validity.VALID), about
 
 
 def test_what_is_not_before_the_camera_has_pixels_of_nan():
