@@ -366,15 +366,8 @@ class Motion:
         sightings = sightings or Sightings.from_frames(
             [(np.empty(0, np.int64), np.empty((0, 4)))] * len(times_s)
         )
-        frame = np.repeat(np.arange(len(times_s)), np.diff(sightings.start))
-        valid = np.flatnonzero(is_valid(rig, sightings.pixels))
-        # frames ascend, and ids within a frame, so a sighting's place in the file is its key's rank
-        count = int(sightings.ids.max(initial=0)) + 1
-        keys = frame[valid] * count + sightings.ids[valid]
-        later = np.minimum(np.searchsorted(keys, keys + count), max(len(keys) - 1, 0))
-        paired = np.flatnonzero(keys[later] == keys + count)
-        first, second = valid[paired], valid[later[paired]]
-
+        frame = sightings.frames
+        first, second = sightings.pairs(is_valid(rig, sightings.pixels))
         usable = np.unique(frame[first])
         means = 0.5 * (twists[usable] + twists[usable + 1])
         turning = np.linalg.norm(means[:, 3:], axis=1)

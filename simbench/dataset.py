@@ -50,6 +50,46 @@ class Sightings:
     def __len__(self) -> int:
         return len(self.ids)
 
+    @property
+    def frames(self) -> IntArray:
+        """The frame of each sighting, shape (S,)."""
+        return _frames(self.start)
+
+    def only(self, kept: BoolArray, ids: IntArray | None = None) -> "Sightings":
+        """Some of the sightings, by a mask (S,), under other ids (S,) where there are some."""
+        ids = self.ids if ids is None else ids
+        places = np.flatnonzero(kept)
+        places = places[np.lexsort((ids[places], self.frames[places]))]
+        start = np.searchsorted(self.frames[places], np.arange(len(self.start)))
+        ids = ids[places]
+        return Sightings(start=start, ids=ids, pixels=self.pixels[places], last=_last_of_each(ids))
+
+    def since(self, where: BoolArray) -> BoolArray:
+        """Sightings of a landmark at and after one that is marked, both masks of shape (S,)."""
+        by_track = np.argsort(self.ids, kind="stable")
+        so_far = np.cumsum(where[by_track])
+        first = np.diff(self.ids[by_track], prepend=-1) != 0
+        before: IntArray = (so_far - where[by_track])[first]
+        after = np.empty(len(self), bool)
+        after[by_track] = so_far > before[np.cumsum(first) - 1]
+        return after
+
+    def pairs(self, usable: BoolArray, lag: int = 1) -> tuple[IntArray, IntArray]:
+        """Places of two usable sightings of a landmark, `lag` frames apart, shapes (n,).
+
+        Args:
+            usable: a mask of shape (S,).
+            lag: in frames.
+        """
+        place = np.flatnonzero(usable)
+        # frames ascend, and ids within a frame, so a sighting's place in the file is its key's rank
+        count = int(self.ids.max(initial=0)) + 1
+        keys = self.frames[place] * count + self.ids[place]
+        sought = keys + lag * count
+        later = np.minimum(np.searchsorted(keys, sought), len(keys) - 1)
+        paired = keys[later] == sought
+        return place[paired], place[later[paired]]
+
     def frame(self, i: int, time_s: float) -> StereoFrame:
         """Frame i as a filter gets it."""
         k = slice(self.start[i], self.start[i + 1])
@@ -79,6 +119,11 @@ class PointSightings:
     def __len__(self) -> int:
         return len(self.ids)
 
+    @property
+    def frames(self) -> IntArray:
+        """The frame of each sighting, shape (S,)."""
+        return _frames(self.start)
+
     def frame(self, i: int, time_s: float) -> PointFrame:
         """Frame i as a filter gets it."""
         k = slice(self.start[i], self.start[i + 1])
@@ -90,6 +135,10 @@ def _joined(frames: list[tuple[IntArray, Array]], columns: int) -> tuple[IntArra
     start = np.cumsum([0, *(len(ids) for ids, _ in frames)])
     ids = np.concatenate([np.empty(0, np.int64), *(ids for ids, _ in frames)])
     return start, ids, np.concatenate([np.empty((0, columns)), *(z for _, z in frames)])
+
+
+def _frames(start: IntArray) -> IntArray:
+    return np.repeat(np.arange(len(start) - 1), np.diff(start))
 
 
 def _last_of_each(ids: IntArray) -> BoolArray:
@@ -211,6 +260,11 @@ class Dataset:
     def times_ns(self) -> IntArray:
         """The times as whole nanoseconds."""
         return nanoseconds(self.times_s)
+
+    @property
+    def twists(self) -> Array:
+        """The samples as the paper's u = [v; omega], shape (T, 6)."""
+        return np.hstack([self.linear_velocity, self.angular_velocity])
 
     def frame(self, i: int) -> Frame:
         """Frame i as a filter gets it; without features, an empty one."""

@@ -14,7 +14,6 @@ from scipy.special import chdtri
 
 from simbench.dataset import Dataset, Sightings
 from simbench.noise import MEDIAN, ROWS, Pairs
-from simbench.repeats import only
 from vislam.arrays import BoolArray, IntArray
 from vislam.filters import model
 
@@ -41,19 +40,8 @@ def without_jumps(dataset: Dataset) -> Dataset:
         f"{np.count_nonzero(once)} sightings jump for one frame and {np.count_nonzero(for_good)} "
         "tracks for good: they, and what follows the latter, are left out."
     )
-    kept = only(sightings, sightings.ids, ~once & ~_from_there_on(sightings, for_good))
+    kept = sightings.only(~once & ~sightings.since(for_good))
     return replace(dataset, sightings=kept, notes=(*dataset.notes, note))
-
-
-def _from_there_on(sightings: Sightings, where: BoolArray) -> BoolArray:
-    """Sightings of a track at and after one that is marked, shape (S,)."""
-    by_track = np.argsort(sightings.ids, kind="stable")
-    so_far = np.cumsum(where[by_track])
-    first = np.diff(sightings.ids[by_track], prepend=-1) != 0
-    before: IntArray = (so_far - where[by_track])[first]
-    after = np.empty(len(sightings), bool)
-    after[by_track] = so_far > before[np.cumsum(first) - 1]
-    return after
 
 
 def jumps(dataset: Dataset) -> tuple[BoolArray, BoolArray]:
@@ -76,8 +64,7 @@ def jumps(dataset: Dataset) -> tuple[BoolArray, BoolArray]:
 
 def _steps(dataset: Dataset, lag: int) -> tuple[IntArray, IntArray, BoolArray]:
     """Sightings and those `lag` frames later, by place, and whether one jumps between, (n,)."""
-    twists = np.hstack([dataset.linear_velocity, dataset.angular_velocity])
-    pairs = Pairs.of(dataset, twists, lag)
+    pairs = Pairs.of(dataset, lag)
     if not len(pairs.residual):
         return pairs.first, pairs.second, np.zeros(0, bool)
     dt = np.diff(dataset.times_s)

@@ -75,13 +75,12 @@ def estimate(dataset: Dataset) -> Estimate:
     Repeated sightings (`simbench.repeats`) are left out.
     """
     dataset = without_repeats(dataset)
-    twists = np.hstack([dataset.linear_velocity, dataset.angular_velocity])
-    sigma_u = white_noise(twists)
+    sigma_u = white_noise(dataset.twists)
     epipolar_px, sigma_px = None, SIGMA_PX
     z = _valid(dataset)
     if len(z):
         epipolar_px = sigma_px = float(_spread(z[:, 1] - z[:, 3]) / np.sqrt(2))
-        pairs = Pairs.of(dataset, twists)
+        pairs = Pairs.of(dataset)
         predicted_px, sigma_u[3:] = _by_prediction(pairs, sigma_u)
         sigma_px = (
             max(epipolar_px, SIGMA_PX)
@@ -112,7 +111,7 @@ def by_this_and_next_sample(dataset: Dataset) -> tuple[float, float] | None:
         return None
     rig, T_imu_cam = dataset.calibration.stereo, dataset.calibration.T_imu_cam
     z, z_next = _pixels(dataset, first, second)
-    twists = np.hstack([dataset.linear_velocity, dataset.angular_velocity])
+    twists = dataset.twists
     medians = []
     for samples in (twists, np.concatenate([twists[1:], twists[-1:]])):
         steps = _motions(dataset.times_s, samples, lag=1)
@@ -188,12 +187,12 @@ class Pairs:
         )
 
     @classmethod
-    def of(cls, dataset: Dataset, twists: Array, lag: int = LAG) -> "Pairs":
-        """Those that lie `lag` frames apart, the motion between by twists of shape (T, 6)."""
+    def of(cls, dataset: Dataset, lag: int = LAG) -> "Pairs":
+        """Those that lie `lag` frames apart, the motion between as measured."""
         rig, T_imu_cam = dataset.calibration.stereo, dataset.calibration.T_imu_cam
         first, second, frame = _seen_again(dataset, lag)
         z, z_next = _pixels(dataset, first, second)
-        motion = _motions(dataset.times_s, twists, lag)[frame]
+        motion = _motions(dataset.times_s, dataset.twists, lag)[frame]
         s = se3.apply(motion, se3.apply(T_imu_cam, triangulate(rig, z))[:, None])[:, 0]
         q = se3.apply(se3.inverse(T_imu_cam), s)
         front = in_front(q)
@@ -240,15 +239,9 @@ def _seen_again(dataset: Dataset, lag: int) -> tuple[IntArray, IntArray, IntArra
     sightings = dataset.sightings
     if not isinstance(sightings, Sightings):
         raise TypeError("Expected the sightings of a stereo pair.")
-    frame = np.repeat(np.arange(len(dataset)), np.diff(sightings.start))
-    rig = dataset.calibration.stereo
-    place = np.flatnonzero(is_valid(rig, sightings.pixels))
-    # frames ascend, and ids within a frame, so keys do
-    keys = frame[place] * dataset.landmark_count + sightings.ids[place]
-    sought = keys + lag * dataset.landmark_count
-    later = np.minimum(np.searchsorted(keys, sought), len(keys) - 1)
-    paired = keys[later] == sought
-    return place[paired], place[later[paired]], frame[place[paired]]
+    valid = is_valid(dataset.calibration.stereo, sightings.pixels)
+    first, second = sightings.pairs(valid, lag)
+    return first, second, sightings.frames[first]
 
 
 def _pixels(dataset: Dataset, first: IntArray, second: IntArray) -> tuple[Array, Array]:

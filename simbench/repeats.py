@@ -16,7 +16,7 @@ from dataclasses import replace
 import numpy as np
 
 from simbench.dataset import Dataset, Sightings
-from vislam.arrays import Array, BoolArray, IntArray
+from vislam.arrays import Array, BoolArray
 from vislam.camera import in_front, is_valid, project, triangulate
 from vislam.lie import se3
 from vislam.types import Calibration
@@ -36,18 +36,12 @@ def without_repeats(dataset: Dataset) -> Dataset:
     sightings = dataset.sightings
     if dataset.truth is not None or not isinstance(sightings, Sightings):
         return dataset
-    twists = np.hstack([dataset.linear_velocity, dataset.angular_velocity])
-    drive = dataset.calibration, dataset.times_s, twists, sightings
-    repeated = repeats(*drive)
+    repeated = _repeated(dataset, sightings)
     if not repeated.any():
         return dataset
-    slid = slides(*drive, repeated)
-    kept = (
-        _slid(sightings, repeated, dataset.landmark_count)
-        if slid
-        else only(sightings, sightings.ids, ~repeated)
-    )
-    frames = len(np.unique(_frames(sightings)[repeated]))
+    slid = _slides(dataset, sightings, repeated)
+    kept = _slid(sightings, repeated, dataset.landmark_count) if slid else sightings.only(~repeated)
+    frames = len(np.unique(sightings.frames[repeated]))
     fate = "start new landmarks, at which the tracks go on" if slid else "are left out"
     note = (
         f"{np.count_nonzero(repeated)} sightings in {frames} of {len(dataset)} frames repeat those "
@@ -61,24 +55,16 @@ def without_repeats(dataset: Dataset) -> Dataset:
     )
 
 
-def repeats(
-    calibration: Calibration, times_s: Array, twists: Array, sightings: Sightings
-) -> BoolArray:
+def _repeated(dataset: Dataset, sightings: Sightings) -> BoolArray:
     """Which sightings repeat that of the frame before, shape (S,).
 
     A frame repeats where most features that it shares with the one before are equal to the last
     bit, and the measured motion says that the median one of them moved. The others of such a frame
     were seen anew.
-
-    Args:
-        calibration: of the rig, its convention resolved.
-        times_s: frames, shape (T,).
-        twists: measured, (v, omega), shape (T, 6).
-        sightings: features by frame.
     """
     repeated = np.zeros(len(sightings), bool)
-    start = sightings.start
-    steps = _in_camera(calibration, se3.exp(-np.diff(times_s)[:, None] * twists[:-1]))
+    start, calibration = sightings.start, dataset.calibration
+    steps = _in_camera(calibration, se3.inverse(_steps(dataset)))
     for i, step in enumerate(steps):
         before, now = (slice(start[k], start[k + 1]) for k in (i, i + 1))
         _, a, b = np.intersect1d(
@@ -96,33 +82,21 @@ def repeats(
     return repeated
 
 
-def slides(
-    calibration: Calibration,
-    times_s: Array,
-    twists: Array,
-    sightings: Sightings,
-    repeated: BoolArray,
-) -> bool:
+def _slides(dataset: Dataset, sightings: Sightings, repeated: BoolArray) -> bool:
     """Whether tracks go on from where they were repeated, and not from where they were seen.
 
     It is the one from which the measured motion predicts the next sightings nearer, but for the
     shift that all features of a frame have in common: what a noisy rate of turn makes of it says
     nothing.
-
-    Args:
-        calibration: of the rig, its convention resolved.
-        times_s: frames, shape (T,).
-        twists: measured, (v, omega), shape (T, 6).
-        sightings: features by frame.
-        repeated: which of them repeat, shape (S,).
     """
+    calibration = dataset.calibration
     order = np.argsort(sightings.ids, kind="stable")
     ids, pixels = sightings.ids[order], sightings.pixels[order]
-    frame, again = _frames(sightings)[order], repeated[order]
+    frame, again = sightings.frames[order], repeated[order]
     held = np.flatnonzero(again[:-1] & ~again[1:] & (ids[:-1] == ids[1:]))
     seen = np.flatnonzero(~again)
     before = seen[np.searchsorted(seen, held) - 1]  # a track never starts with a repeated sighting
-    T = np.concatenate([np.eye(4)[None], se3.exp(np.diff(times_s)[:, None] * twists[:-1])])
+    T = np.concatenate([np.eye(4)[None], _steps(dataset)])
     for i in range(1, len(T)):
         T[i] = T[i - 1] @ T[i]
     motions = (se3.inverse(T[frame[held + 1]]) @ T[frame[source]] for source in (before, held))
@@ -147,41 +121,14 @@ def _slid(sightings: Sightings, repeated: BoolArray, landmark_count: int) -> Sig
     goes_on = np.append((ids[1:] == ids[:-1]) & again[1:], False)  # the next one repeats this one
     starts, kept = np.empty(len(ids), bool), np.empty(len(ids), bool)
     starts[by_track], kept[by_track] = again & ~goes_on, ~(again & goes_on)
-    return broken(sightings, starts, kept, landmark_count)
+    landmark = np.empty(len(ids), np.int64)
+    landmark[by_track] = landmark_count + np.cumsum(starts[by_track]) - 1
+    return sightings.only(kept, np.where(sightings.since(starts), landmark, sightings.ids))
 
 
-def broken(
-    sightings: Sightings, starts: BoolArray, kept: BoolArray, landmark_count: int
-) -> Sightings:
-    """Tracks broken in parts: each goes on under a new id where a new landmark starts.
-
-    Args:
-        sightings: features by frame.
-        starts: which of them are the first of a new landmark, shape (S,).
-        kept: which of them stay, shape (S,).
-        landmark_count: the first new id.
-    """
-    by_track = np.argsort(sightings.ids, kind="stable")
-    ids = sightings.ids[by_track]
-    first = np.diff(ids, prepend=-1) != 0
-    so_far = np.cumsum(starts[by_track])
-    before = so_far[first] - starts[by_track][first]
-    part = so_far - np.repeat(before, np.diff(np.append(np.flatnonzero(first), len(ids))))
-    _, renamed = np.unique(np.stack([ids, part])[:, part > 0], axis=1, return_inverse=True)
-    new_ids = sightings.ids.copy()
-    new_ids[by_track[part > 0]] = landmark_count + renamed
-    return only(sightings, new_ids, kept)
-
-
-def only(sightings: Sightings, ids: IntArray, kept: BoolArray) -> Sightings:
-    """Some of the sightings, by a mask (S,), under ids of shape (S,)."""
-    frame, places = _frames(sightings), np.flatnonzero(kept)
-    places = places[np.lexsort((ids[places], frame[places]))]
-    parts = np.searchsorted(frame[places], np.arange(1, len(sightings.start) - 1))
-    by_frame = zip(
-        np.split(ids[places], parts), np.split(sightings.pixels[places], parts), strict=True
-    )
-    return Sightings.from_frames(list(by_frame))
+def _steps(dataset: Dataset) -> Array:
+    """The measured motion of the IMU over each frame, T_i^-1 T_i+1, shape (T - 1, 4, 4)."""
+    return se3.exp(np.diff(dataset.times_s)[:, None] * dataset.twists[:-1])
 
 
 def _in_camera(calibration: Calibration, motions: Array) -> Array:
@@ -207,8 +154,3 @@ def _off(calibration: Calibration, motion: Array, pixels: Array, seen: Array) ->
     usable, q = usable[in_front(q)], q[in_front(q)]
     off[usable] = (seen[usable] - project(rig, q))[:, :2]
     return off
-
-
-def _frames(sightings: Sightings) -> IntArray:
-    """The frame of each sighting, shape (S,)."""
-    return np.repeat(np.arange(len(sightings.start) - 1), np.diff(sightings.start))

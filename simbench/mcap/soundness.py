@@ -43,10 +43,9 @@ def _wrong(dataset: Dataset) -> Iterator[str]:
         yield f"expected a gate between 0 and 1, got {dataset.gate}"
     sightings = dataset.sightings
     if sightings is not None and len(sightings):
-        frame = np.repeat(np.arange(len(dataset)), np.diff(sightings.start))
         if not 0 <= sightings.ids.min() <= sightings.ids.max() < dataset.landmark_count:
             yield f"expected landmarks 0 to {dataset.landmark_count - 1}"
-        if (np.lexsort((sightings.ids, frame)) != np.arange(len(frame))).any():
+        if (np.lexsort((sightings.ids, sightings.frames)) != np.arange(len(sightings))).any():
             yield "expected landmarks in ascending order within a frame"
     for name, Ts in _poses(dataset):
         R, last_row = Ts[..., :3, :3], Ts[..., 3, :]

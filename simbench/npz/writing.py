@@ -157,14 +157,13 @@ def _origin(origin: Origin) -> dict[str, NDArray[Any]]:
 
 def _features(sightings: Sightings, shape: tuple[int, int, int]) -> Sparse:
     """The sightings in the order of the dense array: coordinate, landmark, frame."""
-    frames = np.repeat(np.arange(shape[2]), np.diff(sightings.start))
     order = np.argsort(sightings.ids, kind="stable")
     return Sparse(
         shape,
         (
             np.repeat(np.arange(4), len(order)),
             np.tile(sightings.ids[order], 4),
-            np.tile(frames[order], 4),
+            np.tile(sightings.frames[order], 4),
         ),
         _with_disparity(sightings.pixels[order]).T.ravel(),
     )

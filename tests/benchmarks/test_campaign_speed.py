@@ -58,7 +58,7 @@ def readings(dataset):
     noise = dataset.noise
     return Readings(
         times_s=dataset.times_s,
-        twists=np.hstack([dataset.linear_velocity, dataset.angular_velocity]),
+        twists=dataset.twists,
         frames=[(frame.ids.tolist(), frame.pixels) for frame in frames],
         T_world_imu=dataset.prior.T_world_imu,
         P=dataset.prior.pose_covariance,

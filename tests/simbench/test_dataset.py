@@ -56,6 +56,44 @@ def test_last_marks_each_landmark_once_in_the_last_frame_that_holds_it(frames):
         assert data.frame(i).last.tolist() == [j not in later for j in ids]
 
 
+def places(frames):
+    """(frame, id) of every sighting, in order."""
+    return [(i, j) for i, ids in enumerate(frames) for j in ids]
+
+
+@given(frames_of_ids, st.randoms(use_true_random=False))
+def test_some_of_the_sightings_keep_their_frames(frames, random):
+    seen, all_ = sightings(*frames), places(frames)
+    assert seen.frames.tolist() == [i for i, _ in all_]
+    kept = np.array([random.random() < 0.5 for _ in all_], bool)
+    expected = [[j for j in ids if kept[all_.index((i, j))]] for i, ids in enumerate(frames)]
+    some, alone = seen.only(kept), sightings(*expected)
+    for name in ("start", "ids", "pixels", "last"):
+        assert np.array_equal(getattr(some, name), getattr(alone, name)), name
+    turned = seen.only(kept, 9 - seen.ids)
+    assert turned.start.tolist() == alone.start.tolist()
+    assert turned.ids.tolist() == [9 - j for ids in expected for j in reversed(ids)]
+
+
+@given(frames_of_ids, st.randoms(use_true_random=False))
+def test_since_is_what_comes_at_and_after_a_mark_on_its_track(frames, random):
+    all_ = places(frames)
+    marked = np.array([random.random() < 0.2 for _ in all_], bool)
+    marks = {place for place, mark in zip(all_, marked, strict=True) if mark}
+    expected = [any((k, j) in marks for k in range(i + 1)) for i, j in all_]
+    assert sightings(*frames).since(marked).tolist() == expected
+
+
+@given(frames_of_ids, st.integers(1, 3), st.randoms(use_true_random=False))
+def test_pairs_are_two_usable_sightings_so_many_frames_apart(frames, lag, random):
+    all_ = places(frames)
+    usable = np.array([random.random() < 0.7 for _ in all_], bool)
+    good = {place for place, ok in zip(all_, usable, strict=True) if ok}
+    expected = [((i, j), (i + lag, j)) for i, j in all_ if {(i, j), (i + lag, j)} <= good]
+    first, second = sightings(*frames).pairs(usable, lag)
+    assert [(all_[a], all_[b]) for a, b in zip(first, second, strict=True)] == expected
+
+
 def test_without_features_every_frame_is_empty():
     frame = dataset(None, 0, 3).frame(2)
     assert frame.ids.shape == (0,)

@@ -29,7 +29,7 @@ def jumped_once(data, share=0.02, seed=0):
 def test_what_jumps_for_a_frame_is_left_out_and_its_track_stays(sigma_v, sigma_w):
     data, which = jumped_once(drive(sigma_v, sigma_w, 0.3, seconds=10.0, seed=1))
     clean = without_jumps(bare(data))
-    frame = np.repeat(np.arange(len(data)), np.diff(data.sightings.start))
+    frame = data.sightings.frames
     left = np.concatenate(
         [np.isin(data.frame(i).ids, clean.frame(i).ids) for i in range(len(data))]
     )
@@ -53,7 +53,7 @@ def test_what_follows_a_jump_for_good_is_left_out():
     _, for_good = jumps(data)
     clean = without_jumps(data)
     assert for_good.sum() > 0.01 * len(data.sightings)
-    frame = np.repeat(np.arange(len(data)), np.diff(data.sightings.start))
+    frame = data.sightings.frames
     for k in np.flatnonzero(for_good):
         later = range(frame[k], len(data))
         assert not any(data.sightings.ids[k] in clean.frame(i).ids for i in later)

@@ -16,7 +16,7 @@ from vislam.lie import se3
 
 def of_frame(data) -> np.ndarray:
     """The frame of each sighting."""
-    return np.repeat(np.arange(len(data)), np.diff(data.sightings.start))
+    return data.sightings.frames
 
 
 def true_pixels(data) -> np.ndarray:

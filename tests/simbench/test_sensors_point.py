@@ -72,7 +72,7 @@ def test_twist_noise_is_a_share_of_the_true_twist_and_no_less_than_sigma():
     for k in range(2):
         dataset = simulate(scene, run=k)
         truth = np.hstack([dataset.truth.linear_velocity, dataset.truth.angular_velocity])
-        read = np.hstack([dataset.linear_velocity, dataset.angular_velocity])
+        read = dataset.twists
         floor = np.repeat([0.05, 0.01], 3)
         n.append((read - truth) / np.maximum(0.1 * np.abs(truth), floor))
     n = np.concatenate(n)  # N = 2 * 2401 of each component; 5 sigma

@@ -209,7 +209,7 @@ def with_noise(dataset: Dataset, change: Callable[[np.ndarray], np.ndarray]) -> 
     """The dataset with its pixels' noise changed."""
     truth, seen = dataset.truth, dataset.sightings
     matrices = camera_matrices(truth.calibration.rig, truth.calibration.T_imu_cam)
-    frame = np.repeat(np.arange(len(dataset)), np.diff(seen.start))
+    frame = seen.frames
     T_imu_world = se3.inverse(truth.T_world_imu)[frame]
     points = np.concatenate(
         [se3.apply(T, p[None]) for T, p in zip(T_imu_world, truth.landmarks[seen.ids], strict=True)]
