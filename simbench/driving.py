@@ -40,7 +40,7 @@ class Watch:
         start = time.perf_counter()
         try:
             return function(*args, **kwargs)
-        except Exception as error:
+        except Exception as error:  # a stranger's filter may raise anything
             raise FilterFailure(call, f"raised {type(error).__name__}: {error}") from error
         finally:
             self.total_s += time.perf_counter() - start

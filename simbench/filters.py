@@ -107,7 +107,7 @@ def _load(name: str, value: str) -> "Factory":
         found: object = importlib.import_module(module_name)
         for attribute in attributes.split("."):
             found = getattr(found, attribute)
-    except Exception as error:
+    except Exception as error:  # a stranger's module, as it is imported
         raise InputError(
             f"--filter {name}: expected an importable module and a factory in it, "
             f"got {type(error).__name__}: {error}."

@@ -111,9 +111,9 @@ def prepared(dataset: Dataset) -> tuple[Dataset, RunOptions]:
     """What a filter is best fed of a dataset, and asked, where nobody says otherwise.
 
     A scene stays as it is. Of a real drive, whose truth is unknown, repeated sightings are taken
-    for what they are (`simbench.repeats`), and landmarks move along their inverse depth: most are
-    far, and no scene was drawn to suit them. Noise and gate are told already (`read_npz`). The verb
-    `run` does no more than
+    for what they are (`simbench.repeats`), those that jump are left out (`simbench.jumps`), and
+    landmarks move along their inverse depth: most are far, and no scene was drawn to suit them.
+    Noise and gate are told already (`read_npz`). The verb `run` does no more than
 
         dataset, options = prepared(read_npz(path))
         record = run(dataset, EkfSlam, options=options)

@@ -59,7 +59,7 @@ def performed(tasks: Iterator[W], workers: Workers) -> Iterator[tuple[W, Answer]
 def _answer(task: Work, future: "Future[Answer]") -> Answer:
     try:
         return future.result()
-    except Exception as error:
+    except Exception as error:  # of a back end whose classes may not be installed
         if type(error).__name__ not in _LOST:
             raise
         reason = f"{type(error).__name__}: {error}"

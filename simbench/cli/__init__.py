@@ -57,7 +57,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _failed(
             WRONG_INPUT, "Not enough memory for this; take less data or fewer processes."
         )
-    except Exception as error:
+    except Exception as error:  # the last resort: no verb ends in a traceback
         if "--debug" in arguments:
             traceback.print_exc()
         if isinstance(error, FilterFailure):

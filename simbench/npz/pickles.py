@@ -140,6 +140,7 @@ class _Machine:
     def run(self) -> Any:
         """The object that the pickle describes."""
         try:
+            # it is typed for files, and uses `read` and `readline` of one
             instructions = pickletools.genops(self._stream)  # type: ignore[arg-type]
             for count, (instruction, argument, _) in enumerate(instructions):
                 if count > MAX_INSTRUCTIONS:

@@ -100,6 +100,7 @@ def _write_dict(path: Path, arrays: dict[str, NDArray[Any]], features: Sparse | 
         content["features"] = np.full(features.shape, -1.0)
         content["features"][features.places] = features.values
     with path.open("wb") as stream:
+        # the dialect is a pickled dict; it is read without running any of it (`pickles`)
         np.save(stream, np.array(content, object), allow_pickle=True)
 
 

@@ -165,6 +165,7 @@ def parse(value: Any, where: str) -> Iterator[Saved]:
 def _parse(value: Any, where: str) -> Saved:
     try:
         if isinstance(value, dict):
+            # pydantic gives Any, of what it has just made sure of
             for keys, kind in _KINDS:
                 if keys <= value.keys():
                     return kind.validate_python(value)  # type: ignore[no-any-return]

@@ -5,9 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.linalg import expm
-from scipy.stats import norm, wilcoxon
+from scipy.stats import wilcoxon
 
-from simbench.conventions import Motion, signed_rank
+from simbench.conventions import Motion
+from simbench.conventions.reading import EXACT, FALSE_ALARM, chance_of_less
 from simbench.npz import Dialect, read_convention, read_npz, write_npz
 from simbench.sensors import simulate
 from tests.simbench.drives import drive, write_bare
@@ -136,14 +137,29 @@ def test_rates_as_noisy_as_the_turns_lead_to_no_wrong_reading(tmp_path):
     assert chosen["2022-as-distributed"].count("imu_T_cam/frd") >= 4
 
 
-def test_the_signed_rank_is_that_of_wilcoxon():
-    rng = np.random.default_rng(0)
-    errors, others = rng.exponential(1.0, 200), rng.exponential(1.3, 200)
-    z = signed_rank(errors, others)
-    expected = wilcoxon(errors, others, alternative="less", method="asymptotic").pvalue
-    assert norm.sf(z) == pytest.approx(expected, rel=1e-6)
-    assert signed_rank(others, errors) == -z
-    assert signed_rank(np.array([1.0, np.inf]), np.array([1.0, np.inf])) == 0.0
+@pytest.mark.parametrize(
+    ("frames", "method"), [(1, "exact"), (9, "exact"), (EXACT, "exact"), (200, "asymptotic")]
+)
+def test_the_chance_of_less_is_that_of_wilcoxon(frames, method):
+    rng = np.random.default_rng(frames)
+    errors, others = rng.exponential(1.0, frames), rng.exponential(1.3, frames)
+    for one, other in ((errors, others), (others, errors)):
+        expected = wilcoxon(one, other, alternative="less", method=method).pvalue
+        assert chance_of_less(one, other) == pytest.approx(expected, rel=1e-6)
+
+
+def test_frames_that_are_alike_or_far_off_in_both_show_nothing():
+    alike, off = np.array([1.0, np.inf, 2e3]), np.array([1.0, np.inf, 5e3])
+    assert chance_of_less(alike, off) == chance_of_less(off, alike) == 1.0
+
+
+@pytest.mark.parametrize(("frames", "clear"), [(13, False), (14, True)])
+def test_fourteen_of_fourteen_frames_are_enough(frames, clear):
+    """Thirteen would be better by chance once in 8,192 times: more often than is allowed."""
+    errors = np.random.default_rng(frames).exponential(1.0, frames)
+    chance = chance_of_less(errors, errors + 0.1)
+    assert chance == pytest.approx(0.5**frames)
+    assert (chance < FALSE_ALARM) == clear
 
 
 def test_by_how_much_the_chosen_reading_wins_is_said(tmp_path):
