@@ -180,7 +180,7 @@ def check(
     only too much counts. A failed check says what its failure usually means, and the conclusion
     what they mean together.
     """
-    from simbench.checks.verdict import check as judge
+    from simbench.checks.instruments import check as judge
     from simbench.scenario import load
 
     scene = load(scenario, overrides)

@@ -3,7 +3,6 @@
 import json
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -13,18 +12,17 @@ from hypothesis import strategies as st
 from scipy import stats
 from scipy.special import chdtri
 
-from simbench.checks import verdict as verdicts
-from simbench.checks.conformance import CHECKS
+from simbench.checks.chance import judge
+from simbench.checks.defaults import RUNS
 from simbench.checks.montecarlo import ChiSquare, Innovations, RunSummary, monte_carlo, summary
-from simbench.checks.verdict import RUNS, Verdict, check, judge, untold
-from simbench.cli import main
+from simbench.checks.verdict import Verdict
 from simbench.dataset import Dataset
 from simbench.errors import InputError
-from simbench.scenario import load, loads
+from simbench.scenario import loads
 from simbench.sensors import simulate
 from simbench.sensors.camera import camera_matrices, projected
-from tests.simbench.test_montecarlo import SHORT, Raising, short
-from vislam.filters import EkfSlam, Parts, slam_transport
+from tests.simbench.test_montecarlo import SHORT, short
+from vislam.filters import EkfSlam, slam_transport
 from vislam.lie import se3
 
 SCENARIOS = Path(__file__).parents[2] / "scenarios"
@@ -318,71 +316,6 @@ def test_a_check_fails_exactly_where_its_statistic_leaves_its_band(seed, scale, 
         assert bool(each.reason) != each.passed
 
 
-# The whole verdict
-
-
-@pytest.fixture
-def two_laws(monkeypatch):
-    """The laws have tests of their own; two of them are enough to see what becomes of them."""
-    monkeypatch.setattr(
-        verdicts, "CHECKS", {name: CHECKS[name] for name in ("null-space", "run-twice")}
-    )
-
-
-@pytest.mark.usefixtures("two_laws")
-def test_a_rightly_coded_filter_may_be_inconsistent_and_the_verdict_says_so():
-    """The paper's filter with an unsure heading; the transported one is consistent there."""
-    scene = load(SCENARIOS / "heading.yaml")
-    paper = check(scene, "slam", runs=8, jobs=1)
-    assert not paper.passed
-    assert not {name for name in failed(paper) if name.startswith("exact-audit")}
-    assert {name for name in failed(paper) if name.startswith("pose NEES")}
-    assert paper.conclusion.startswith("Correct code, inconsistent method in this scene")
-    assert "null-space: property of the method" in paper.conclusion
-    assert "outside the linear regime" in paper.conclusion
-    transported = check(scene, "slam-transport", runs=8, jobs=1)
-    assert transported.passed
-    assert transported.conclusion.startswith("No mistake was found")
-
-
-def no_transition(T, T_next):  # noqa: ARG001
-    return np.eye(6)
-
-
-@pytest.mark.usefixtures("two_laws")
-def test_a_mistake_in_the_code_is_named_by_the_audit():
-    wrong = partial(EkfSlam, parts=Parts(transition=no_transition))
-    verdict = check(short(), wrong, runs=2, jobs=1)
-    assert "exact-audit" in failed(verdict)
-    assert verdict.conclusion.startswith("A mistake in the code. exact-audit: ")
-    assert "predict 0" in verdict.conclusion
-
-
-@pytest.mark.usefixtures("two_laws")
-def test_a_scene_that_does_not_tell_the_truth_is_blamed_for_it():
-    scene = short("told.baseline_scale=1.2", "filter.gate=none")
-    assert untold(scene) == ("told.baseline_scale",)
-    verdict = check(scene, "slam-transport", runs=5, jobs=1)
-    assert not verdict.passed
-    assert "does not tell it the truth (told.baseline_scale)" in verdict.conclusion
-
-
-@pytest.mark.parametrize(
-    "override",
-    [
-        "imu.velocity.bias_sigma=0.1",
-        "imu.angular_velocity.bias_walk=[0, 0, 0.1]",
-        "imu.twist=instantaneous",
-        "camera.outliers.share=0.1",
-        "told.rotation_error_deg=[0, 0, 1]",
-    ],
-)
-def test_every_way_not_to_tell_the_truth_is_known(override):
-    assert untold(short()) == ()
-    (key,) = untold(short(override))
-    assert override.startswith(key)
-
-
 def test_a_filter_that_raises_at_real_noise_only_fails_with_the_call():
     runs = [replace(s, failure="update 7 raised X: y") if s.run == 3 else s for s in ideals()]
     verdict = judge(runs, gate=GATE)
@@ -390,30 +323,6 @@ def test_a_filter_that_raises_at_real_noise_only_fails_with_the_call():
     (line,) = [each for each in verdict.checks if not each.passed]
     assert line.reason == "run 3: update 7 raised X: y"
     assert verdict.figures["failed"] == 1 / RUNS
-
-
-@pytest.mark.usefixtures("two_laws")
-def test_check_answers_in_json_and_by_its_exit_status(tmp_path, capsys):
-    path = tmp_path / "short.yaml"
-    path.write_text(SHORT)
-    options = ["--runs", "3", "--jobs", "1", "--json"]
-    assert main(["check", str(path), "--filter", "slam-transport", *options]) == 0
-    value = json.loads(capsys.readouterr().out)
-    assert value["passed"]
-    assert value["false_alarm"] == 0.01
-    assert value["runs"] == 3
-    keys = {"name", "passed", "statistic", "low", "high", "p", "reason"}
-    assert all(set(line) == keys for line in value["checks"])
-
-    raising = f"{Raising.__module__}:Raising"
-    assert main(["check", str(path), "--filter", raising, *options]) == 1
-    value = json.loads(capsys.readouterr().out)
-    assert not value["passed"]
-    (line,) = [each for each in value["checks"] if each["name"] == "runs that raised"]
-    assert line["statistic"] == 3
-    assert "predict 2 raised RuntimeError: lost" in line["reason"]
-    assert main(["check", str(tmp_path / "none.yaml"), "--filter", "slam"]) == 2
-    assert main(["check", str(path), "--filter", "slam", "--false-alarm", "1.5"]) == 2
 
 
 def test_the_table_shows_every_check_and_the_rate():
