@@ -11,13 +11,14 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from vislam import camera
-from vislam.arrays import Array, BoolArray, IntArray
+from vislam.arrays import Array, BoolArray
 from vislam.charts import LEFT, RIGHT, Chart
 from vislam.filters import model
 from vislam.filters.estimate import Estimate
+from vislam.filters.layout import MAP, POSE, rows_of
 from vislam.filters.observation import Observation
 from vislam.filters.parts import Parts
-from vislam.filters.records import MAP, POSE, Augment, Correct, Linear, Record
+from vislam.filters.records import Augment, Correct, Linear, Record
 from vislam.filters.slam import EkfSlam
 from vislam.gaussian import gate_threshold, subtract_gram, transposed
 from vislam.lie import se3, so3
@@ -150,7 +151,7 @@ def _seen_block_kept(record: Record, P: Array) -> Array:
     """`P[rows][:, rows] = ...` writes into a copy."""
     P_next = record.forward(P)
     if isinstance(record, Correct):
-        rows = _rows(record.slots)
+        rows = rows_of(record.observation.slots).ravel()
         P_next[..., rows[:, None], rows] = P[..., rows[:, None], rows]
     return P_next
 
@@ -159,10 +160,11 @@ def _never_symmetrised(record: Record, P: Array) -> Array:
     """(I - K H) P, with the product K H multiplied out."""
     if not isinstance(record, Correct):
         return record.forward(P)
-    H = np.zeros_like(record.Y_T)
-    H[..., POSE] = record.H_pose
-    for k, slot in enumerate(record.slots.tolist()):
-        H[..., 3 * k : 3 * k + 3, 6 + 3 * slot : 9 + 3 * slot] = record.H_map[..., k, :, :]
+    seen, H = record.observation, np.zeros_like(record.Y_T)
+    for k, slot in enumerate(seen.slots.tolist()):
+        rows = slice(3 * k, 3 * k + 3)
+        H[..., rows, POSE] = seen.H_pose[..., k, :, :]
+        H[..., rows, 6 + 3 * slot : 9 + 3 * slot] = seen.H_map[..., k, :, :]
     K = transposed(np.asarray(np.linalg.solve(transposed(record.L), record.Y_T)))
     return np.asarray((np.eye(P.shape[-1]) - K @ H) @ P)
 
@@ -190,34 +192,30 @@ class _TwoCorrections(Correct):
         return of_pose + self.of_map.delta
 
 
-def _pose_and_map_apart(observation: Observation) -> Correct:
-    of_pose, of_map = observation.HP.copy(), observation.HP.copy()
+def _pose_and_map_apart(observation: Observation, P: Array) -> Correct:
+    HP = observation.of_state(P)
+    of_pose, of_map = HP.copy(), HP.copy()
     of_pose[..., MAP], of_map[..., POSE] = 0, 0
-    *batch, k, _, _ = observation.H_pose.shape
-    by_pose = of_pose[..., POSE] @ transposed(observation.H_pose.reshape(*batch, 3 * k, 6))
-    pose = replace(observation, HP=of_pose, S=by_pose + np.eye(3 * k)).correction()
+    pose, both = (
+        Correct.of_products(observation, part, observation.innovation_covariance(part))
+        for part in (of_pose, of_map)
+    )
     return _TwoCorrections(
-        slots=pose.slots,
-        H_pose=pose.H_pose,
-        H_map=pose.H_map,
-        r=pose.r,
+        observation=observation,
         L=pose.L,
         whitened=pose.whitened,
         Y_T=pose.Y_T,
-        of_map=replace(observation, HP=of_map, S=observation.S - by_pose).correction(),
+        of_map=both,
     )
 
 
-def _unseen_landmarks_left(observation: Observation) -> Correct:
-    HP = np.zeros_like(observation.HP)
-    rows = np.concatenate([np.arange(6), _rows(observation.slots)])
-    HP[..., rows] = observation.HP[..., rows]
-    return replace(observation, HP=HP).correction()
-
-
-def _rows(slots: IntArray) -> IntArray:
-    """The rows of landmarks in the state."""
-    return np.asarray((6 + 3 * slots[:, None] + np.arange(3)).reshape(-1))
+def _unseen_landmarks_left(observation: Observation, P: Array) -> Correct:
+    HP = observation.of_state(P)
+    S = observation.innovation_covariance(HP)
+    unseen = np.ones(P.shape[-1], bool)
+    unseen[POSE] = unseen[rows_of(observation.slots)] = False
+    HP[..., unseen] = 0
+    return Correct.of_products(observation, HP, S)
 
 
 posterior_pose_covariance_not_stored = replacing(change=_pose_block_kept)

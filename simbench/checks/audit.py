@@ -28,7 +28,7 @@ from simbench.driving import error_of
 from simbench.errors import FilterFailure, InputError
 from vislam.arrays import Array, BoolArray
 from vislam.filters import Factory
-from vislam.filters.records import diagonal_blocks
+from vislam.filters.layout import diagonal_blocks
 from vislam.types import Belief
 
 EPS = (1e-2, 1e-3, 1e-4)

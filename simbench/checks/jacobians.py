@@ -88,7 +88,7 @@ def move_by_the_correction(factory: Factory, drive: ShortDrive | None = None) ->
     """
     worst_m, where, updates = 0.0, "start", 0
     for before, after in white_box(factory, Feed.of(drive).streamed()):
-        corrections = [r for r in after.records if isinstance(r, Correct) and len(r.slots)]
+        corrections = [r for r in after.records if isinstance(r, Correct) and len(r.whitened)]
         if len(corrections) != 1 or len(corrections[0].delta) != 6 + 3 * len(before.belief.ids):
             continue  # several moves, or one of landmarks that entered in the same call
         updates += 1
@@ -200,7 +200,7 @@ def _transition(before: Belief, after: Belief, motion: Array) -> Array:
 def _observation(task: Task, belief: Belief, record: Correct) -> Array:
     """The derivative d z / d e of the whitened sightings, shape (3k, 6 + 3m)."""
     state = state_of(belief)
-    places = np.searchsorted(state.ids, belief.ids[record.slots])
+    places = np.searchsorted(state.ids, belief.ids[record.observation.slots])
 
     def sightings(d: Array) -> Array:
         true = varied(state, d)

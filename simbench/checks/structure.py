@@ -34,6 +34,7 @@ from simbench.checks.short_drive import ShortDrive
 from simbench.checks.trace import Call, Feed, held, trace, white_box
 from vislam.arrays import Array, IntArray
 from vislam.filters import Factory
+from vislam.filters.layout import POSE, rows_of
 from vislam.filters.records import Augment, Correct, Drop, Linear
 from vislam.gaussian import symmetrised
 from vislam.types import Belief
@@ -119,7 +120,7 @@ def _feed(drive: ShortDrive | None, noise: float = 1.0) -> Feed:
 def _white_box(factory: Factory, drive: ShortDrive | None) -> list[tuple[Call, Call]]:
     calls = white_box(factory, _feed(drive))
     records = [record for _, after in calls for record in after.records]
-    if not any(len(record.slots) for record in records if isinstance(record, Correct)):
+    if not any(len(record.observation.slots) for record in records if isinstance(record, Correct)):
         raise NotApplicable("the filter never took in a sighting of a landmark that it held")
     return calls
 
@@ -195,15 +196,14 @@ def _difference(where: str, got: Array, expected: Array) -> Leak:
 
 def observation_matrix(record: Correct, size: int) -> Array:
     """The whole H, shape (3k, size)."""
-    H = np.zeros((len(record.H_pose), size))
-    H[:, :6] = record.H_pose
-    for k, slot in enumerate(record.slots.tolist()):
-        H[3 * k : 3 * k + 3, 6 + 3 * slot : 9 + 3 * slot] = record.H_map[k]
-    return H
+    seen, H = record.observation, np.zeros((len(record.observation.slots), 3, size))
+    H[..., POSE] = seen.H_pose
+    np.put_along_axis(H, rows_of(seen.slots)[:, None, :], seen.H_map, axis=-1)
+    return H.reshape(-1, size)
 
 
 def _without(rows: Array, slots: IntArray) -> Array:
-    return np.delete(rows, (6 + 3 * slots[:, None] + np.arange(3)).ravel(), axis=0)
+    return np.delete(rows, rows_of(slots).ravel(), axis=0)
 
 
 def _observability(calls: list[tuple[Call, Call]]) -> Array:

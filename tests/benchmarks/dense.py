@@ -67,7 +67,7 @@ class DenseEkf:
             H_map.mT
         )
         S_each += np.eye(3)
-        keep = model.predictable(self.calibration, W, S_each)
+        keep = model.predictable(self.calibration, W, np.einsum("kii->ki", S_each))
         if self.gate is not None:
             solved = np.linalg.solve(S_each, r[:, :3, None])[..., 0]
             distance = np.sum(r[:, :3] * solved, axis=1) + r[:, 3] ** 2

@@ -1,10 +1,12 @@
 """Small drives for tests of the filters: truth, noisy readings, any schedule of sightings."""
 
 from dataclasses import dataclass, replace
+from unittest import mock
 
 import numpy as np
 
 from vislam.camera import StereoRig, project
+from vislam.filters import observation
 from vislam.filters.protocol import Factory, Filter
 from vislam.lie import se3, so3
 from vislam.types import Belief, Calibration, Innovation, Noise, StereoFrame, Task, Twist
@@ -127,3 +129,8 @@ def feed_together(factory: Factory, runs: list[Drive]) -> Filter:
             )
         together.update(replace(frame, pixels=np.stack([d.frames[i].pixels for d in runs])))
     return together
+
+
+def in_parts_of(sightings: int):
+    """A context in which an update takes in so many sightings at once."""
+    return mock.patch.object(observation, "PART", sightings)

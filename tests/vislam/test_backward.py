@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from tests.oracles.dense_ekf import DenseEkf
-from tests.vislam.drives import drive, feed_together
+from tests.vislam.drives import drive, feed_together, in_parts_of
 from vislam.filters import EkfSlam
 
 schedules = st.tuples(st.integers(1, 8), st.integers(1, 6)).flatmap(
@@ -120,13 +120,16 @@ def test_records_that_went_to_a_file_give_the_same_map():
     assert np.array_equal(a.landmark_covariances, b.landmark_covariances)
 
 
-def test_a_batch_of_runs_has_the_maps_of_the_runs_one_by_one():
+@pytest.mark.parametrize("part", [2, 50])
+def test_a_batch_of_runs_has_the_maps_of_the_runs_one_by_one(part):
+    """Their updates part by part or at once."""
     seen = np.random.default_rng(1).random((7, 5)) < 0.6
     runs = [drive(seen, seed=7, noise_scale=scale, gate=0.9) for scale in (0.5, 1.5)]
     final = [EkfSlam(d.task) for d in runs]
     for d, slam in zip(runs, final, strict=True):
         d.feed(slam)
-    together = feed_together(EkfSlam, runs).finish().final
+    with in_parts_of(part):
+        together = feed_together(EkfSlam, runs).finish().final
     for k, slam in enumerate(final):
         alone = slam.finish().final
         assert np.allclose(together.landmarks[k], alone.landmarks, rtol=0, atol=1e-12)

@@ -9,8 +9,9 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from tests.oracles.dense_ekf import DenseEkf
-from tests.vislam.drives import Drive, drive
+from tests.vislam.drives import Drive, drive, in_parts_of
 from vislam.filters import DeadReckoning, EkfSlam, Mapping
+from vislam.filters.observation import PART
 from vislam.types import Belief, Noise
 
 TOLERANCE = 1e-9
@@ -56,6 +57,26 @@ def assert_equal_all_along(d: Drive, prior: Belief | None = None) -> None:
 @settings(deadline=None, max_examples=60)
 def test_slam_is_the_dense_filter_over_any_schedule(seen, seed, process_model, gate):
     assert_equal_all_along(drive(seen, seed=seed, process_model=process_model, gate=gate))
+
+
+@given(seen=schedules, seed=st.integers(0, 99), gate=gates, part=st.integers(1, 4))
+@settings(deadline=None, max_examples=40)
+def test_part_by_part_slam_is_the_dense_filter_too(seen, seed, gate, part):
+    with in_parts_of(part):
+        assert_equal_all_along(drive(seen, seed=seed, gate=gate))
+
+
+def test_part_by_part_each_sighting_has_the_same_whitened_residual():
+    d = drive(np.ones((4, 6), bool), seed=1, gate=0.9)
+    at_once = d.feed(EkfSlam(d.task))
+    with in_parts_of(2):
+        by_parts = d.feed(EkfSlam(d.task))
+    for one, other in zip(at_once, by_parts, strict=True):
+        assert np.allclose(one.whitened, other.whitened, rtol=0, atol=TOLERANCE)
+
+
+def test_more_sightings_than_are_taken_in_at_once():
+    assert_equal_all_along(drive(np.ones((3, PART + 7), bool), gate=0.9))
 
 
 @given(data=st.data(), seen=schedules, seed=st.integers(0, 99))

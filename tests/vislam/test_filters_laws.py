@@ -14,6 +14,7 @@ from vislam.camera import StereoRig
 from vislam.filters import DeadReckoning, EkfSlam, Mapping, Parts, slam_invariant
 from vislam.filters.model import constant_prior, predictable, whitening
 from vislam.filters.observation import Observation
+from vislam.filters.records import Correct
 from vislam.gaussian import NotPositiveDefinite, covariance_fault
 from vislam.lie import se3
 from vislam.types import Calibration, Noise, StereoFrame
@@ -165,7 +166,8 @@ def test_an_update_is_filterpys_on_a_linear_problem(seed, k, spare):
     slots = rng.permutation(m)[:k]
     H_pose, H_map = rng.standard_normal((k, 3, 6)), rng.standard_normal((k, 3, 3))
     r = rng.standard_normal((k, 3))
-    correction = Observation.of(P, slots=slots, H_pose=H_pose, H_map=H_map, r=r).correction()
+    observation = Observation(slots=slots, H_pose=H_pose, H_map=H_map, r=r)
+    correction = Correct.of(observation, P)
 
     judge = filterpy.kalman.KalmanFilter(dim_x=n, dim_z=3 * k)
     judge.P, judge.R = P.copy(), np.eye(3 * k)
@@ -178,6 +180,14 @@ def test_an_update_is_filterpys_on_a_linear_problem(seed, k, spare):
     assert np.allclose(correction.forward(P), judge.P, atol=1e-8)
     nis = judge.mahalanobis**2
     assert np.square(correction.whitened).sum() == pytest.approx(nis, rel=1e-8)
+
+    each = [slice(3 * i, 3 * i + 3) for i in range(k)]
+    S_each = observation.innovation_covariance_of_each(P)
+    assert np.allclose(S_each, [judge.S[rows, rows] for rows in each], rtol=1e-12)
+    distances = [r[i] @ np.linalg.inv(judge.S[rows, rows]) @ r[i] for i, rows in enumerate(each)]
+    assert np.allclose(observation.distances(S_each), distances, rtol=1e-9)
+    assert (observation.variance_bounds(P).ravel() >= np.diagonal(judge.S)).all()
+    assert (observation.variance_bounds(0 * P) == 1).all()
 
 
 def test_the_papers_start_claims_too_much_and_says_so_nowhere():
@@ -252,7 +262,8 @@ def test_a_sigma_of_the_prediction_is_in_pixels():
     W = whole[:3]
     for sigma_px in (1241.0, 1243.0):  # of all coordinates at once; the image is 1242 wide
         S = W @ (sigma_px**2 * np.ones((4, 4))) @ W.T
-        within = predictable(drive(np.ones((1, 1), bool)).task.calibration, whole, S[None])
+        told = drive(np.ones((1, 1), bool)).task.calibration
+        within = predictable(told, whole, np.diagonal(S)[None])
         assert within.tolist() == [sigma_px < 1242]
 
 

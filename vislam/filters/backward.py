@@ -17,18 +17,16 @@ import numpy as np
 
 from vislam.arrays import Array, IntArray
 from vislam.filters.estimate import Estimate
-from vislam.filters.records import (
+from vislam.filters.layout import (
     MAP,
     POSE,
-    Augment,
-    Correct,
-    Drop,
-    Linear,
-    Record,
     block_diagonal,
     diagonal_blocks,
+    rows_of,
     times_blocks,
 )
+from vislam.filters.observation import Observation
+from vislam.filters.records import Augment, Drop, Linear
 from vislam.gaussian import (
     add_product,
     cholesky,
@@ -58,23 +56,19 @@ class Kept:
     @property
     def rows(self) -> IntArray:
         """The pose's rows of the state, and those of the landmarks that are due."""
-        due = 6 + 3 * self.slots[:, None] + np.arange(3)
-        return np.concatenate([np.arange(6), due.ravel()])
+        return np.concatenate([np.arange(6), rows_of(self.slots).ravel()])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Seen:
-    """Of a `Correct`, what the way back needs: an eighth of its size.
+    """Of a frame's update, what the way back needs: an eighth of its size.
 
     Attributes:
-        slots, H_pose, H_map, r: as there.
+        observation: what was used of the frame.
         delta: by what it moved the state, K r, shape (..., n).
     """
 
-    slots: IntArray
-    H_pose: Array
-    H_map: Array
-    r: Array
+    observation: Observation
     delta: Array
 
 
@@ -174,20 +168,19 @@ class Later:
 
     def _before_seen(self, record: Seen) -> "Later":
         """e+ = e - delta, and r = H e + v besides."""
-        y, Y = self.vector, self.information
-        *batch, k, _, _ = record.H_map.shape
-        m = (y.shape[-1] - 6) // 3
-        H_pose, slots = record.H_pose.reshape(*batch, k, 3, 6), record.slots
-        H_map_T = transposed(record.H_map)
+        y, Y, seen = self.vector, self.information, record.observation
+        batch, m, slots = y.shape[:-1], (y.shape[-1] - 6) // 3, seen.slots
+        H_map_T = transposed(seen.H_map)
+        of_pose = seen.H_pose.reshape(*batch, -1, 6)
         y += _times(Y, record.delta)
-        y[..., POSE] += _times(transposed(record.H_pose), record.r)
+        y[..., POSE] += _times(transposed(of_pose), seen.r.reshape(*batch, -1))
         y_map = y[..., MAP].reshape(*batch, m, 3)  # a view, as those below
-        y_map[..., slots, :] += _times(H_map_T, record.r.reshape(*batch, k, 3))
+        y_map[..., slots, :] += _times(H_map_T, seen.r)
 
-        Y[..., POSE, POSE] += transposed(record.H_pose) @ record.H_pose
-        Y[..., MAP, POSE].reshape(*batch, m, 3, 6)[..., slots, :, :] += H_map_T @ H_pose
+        Y[..., POSE, POSE] += transposed(of_pose) @ of_pose
+        Y[..., MAP, POSE].reshape(*batch, m, 3, 6)[..., slots, :, :] += H_map_T @ seen.H_pose
         Y[..., POSE, MAP] = transposed(Y[..., MAP, POSE])
-        diagonal_blocks(Y[..., MAP, MAP])[..., slots, :, :] += H_map_T @ record.H_map
+        diagonal_blocks(Y[..., MAP, MAP])[..., slots, :, :] += H_map_T @ seen.H_map
         return self
 
     def _before_augment(self, record: Augment) -> "Later":
@@ -215,19 +208,6 @@ class Later:
 
 #: What is kept of a run for the way back.
 Past: TypeAlias = Linear | Seen | Augment | Drop | Kept
-
-
-def past(record: Record | Kept) -> Past:
-    """What the way back needs of a record, or of a state that was kept."""
-    if not isinstance(record, Correct):
-        return record
-    return Seen(
-        slots=record.slots,
-        H_pose=record.H_pose,
-        H_map=record.H_map,
-        r=record.r,
-        delta=record.delta,
-    )
 
 
 def _times(A: Array, x: Array) -> Array:

@@ -27,19 +27,24 @@ MOST_STEPS = 5
 SMALL_STEP = 1e-4
 
 
-def gauss_newton(first: Correct, seen_from: Callable[[Array], Observation]) -> Correct:
+def gauss_newton(
+    first: Correct,
+    seen_from: Callable[[Array], Observation],
+    correct: Callable[[Observation], Correct],
+) -> Correct:
     """The correction linearised where it leads itself.
 
     Args:
         first: linearised at the prediction.
         seen_from: the accepted sightings, linearised where an error vector leads.
+        correct: the update that an observation makes of the state as predicted.
     """
     last = first
     for _ in range(MOST_STEPS - 1):
         observation = seen_from(last.delta)
         if not np.isfinite(observation.r).all():  # a landmark has come behind the camera
             return last
-        step = observation.correction()
+        step = correct(observation)
         change = np.abs(step.delta - last.delta).max(initial=0.0)
         last = step
         if change <= SMALL_STEP:

@@ -12,7 +12,7 @@ import numpy as np
 from vislam.arrays import Array, IntArray
 from vislam.filters import model
 from vislam.filters.dead_reckoning import DeadReckoning
-from vislam.filters.records import block_diagonal
+from vislam.filters.layout import block_diagonal
 from vislam.filters.roster import Retired, slots_of
 from vislam.gaussian import cholesky, solve_lower, subtract_gram, transposed
 from vislam.types import Belief, Frame, Innovation, Smoothed, Task, Twist
@@ -117,7 +117,7 @@ class Mapping:
         S = H @ P @ transposed(H) + np.eye(3)
         L = cholesky(S)
         white[..., :3] = solve_lower(L, white[..., :3, None])[..., 0]
-        passed = model.predictable(calibration, W, S)
+        passed = model.predictable(calibration, W, np.einsum("...ii->...i", S))
         if self.gate is not None:
             passed &= model.gate(np.square(white).sum(axis=-1), self.gate, white.shape[-1])
         white *= passed[..., None]

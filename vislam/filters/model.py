@@ -139,7 +139,7 @@ def finite(residual: Array) -> BoolArray:
     return _in_all_runs(np.asarray(np.isfinite(residual).all(axis=-1)))
 
 
-def predictable(calibration: Calibration, W: Array, S: Array) -> BoolArray:
+def predictable(calibration: Calibration, W: Array, variances: Array) -> BoolArray:
     """Which sightings are predicted better than by the width of the image, or the range.
 
     A landmark of wild depth that comes near the plane of the camera has pixels of any value and a
@@ -148,7 +148,7 @@ def predictable(calibration: Calibration, W: Array, S: Array) -> BoolArray:
     Args:
         calibration: told geometry.
         W: as of `whitening`.
-        S: innovation covariance of each sighting's three whitened rows, shape (..., k, 3, 3).
+        variances: innovation variances of each sighting's three whitened rows, shape (..., k, 3).
 
     Returns:
         Shape (..., k).
@@ -159,8 +159,7 @@ def predictable(calibration: Calibration, W: Array, S: Array) -> BoolArray:
     else:
         most = 2 * rig.fx_px if rig.image_px is None else rig.image_px[0]
     weight = W[..., :3, :].sum(axis=-1)
-    variance = np.einsum("...ii->...i", S)
-    return np.asarray((variance < np.square(most * weight)).all(axis=-1))
+    return np.asarray((variances < np.square(most * weight)).all(axis=-1))
 
 
 def gate(distance_squared: Array, probability: float, dof: int) -> BoolArray:

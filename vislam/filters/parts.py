@@ -45,10 +45,10 @@ class Parts:
         observation_jacobians: of the readings by pose and landmark.
         whitening: of residuals, by the readings as predicted.
         gate: which sightings to accept.
-        correct: the update that an observation makes.
+        correct: the update that an observation makes of a state of this covariance.
         birth: new landmarks, their Jacobian by the pose's error, their own covariance.
-        iterate: the last correction, from the first and from the sightings linearised where an
-            error vector leads; None where the first is the last.
+        iterate: the last correction, from the first, from the sightings linearised where an error
+            vector leads, and from the update that they make; None where the first is the last.
         transport: what an update that moved an estimate to (pose, landmarks) does to the covariance
             besides; None for nothing.
         change: the covariance after a record; the one before is given up.
@@ -66,11 +66,16 @@ class Parts:
     )
     whitening: Callable[[Noise, Array], Array] = model.whitening
     gate: Callable[[Array, float, int], BoolArray] = model.gate
-    correct: Callable[[Observation], Correct] = Observation.correction
+    correct: Callable[[Observation, Array], Correct] = Correct.of
     birth: Callable[[Calibration, Noise, Array, Array, Array], tuple[Array, Array, Array]] = (
         model.inverse_observation
     )
-    iterate: Callable[[Correct, Callable[[Array], Observation]], Correct] | None = None
+    iterate: (
+        Callable[
+            [Correct, Callable[[Array], Observation], Callable[[Observation], Correct]], Correct
+        ]
+        | None
+    ) = None
     transport: Callable[[Estimate, Array, Array], Linear] | None = None
     change: Callable[[Record, Array], Array] = as_recorded
 

@@ -11,10 +11,16 @@ from typing import TypeAlias
 import numpy as np
 
 from vislam.arrays import Array, IntArray
-from vislam.gaussian import add_product, subtract_gram, symmetrised, transposed
-
-POSE = slice(0, 6)
-MAP = slice(6, None)
+from vislam.filters.layout import MAP, POSE, diagonal_blocks, rows_of, times_blocks
+from vislam.filters.observation import Observation
+from vislam.gaussian import (
+    add_product,
+    cholesky,
+    solve_lower,
+    subtract_gram,
+    symmetrised,
+    transposed,
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -94,25 +100,37 @@ class Linear:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Correct:
-    """An update by a whitened observation r = H x + v, v ~ N(0, I), of the pose and k landmarks.
+    """An update by a whitened observation r = H x + v, v ~ N(0, I), of k landmarks.
 
     Attributes:
-        slots: place of each observed landmark among the state's, shape (k,).
-        H_pose: shape (..., 3k, 6).
-        H_map: shape (..., k, 3, 3).
-        r: shape (..., 3k).
+        observation: what was observed.
         L: lower factor of the innovation covariance S = H P H^T + I, shape (..., 3k, 3k).
         whitened: L^-1 r, shape (..., 3k).
         Y_T: L^-1 H P, shape (..., 3k, n); the gain is K = Y L^-1.
     """
 
-    slots: IntArray
-    H_pose: Array
-    H_map: Array
-    r: Array
+    observation: Observation
     L: Array
     whitened: Array
     Y_T: Array
+
+    @classmethod
+    def of(cls, observation: Observation, P: Array) -> "Correct":
+        """The update that it makes of a state of covariance P, shape (..., n, n)."""
+        HP = observation.of_state(P)
+        return cls.of_products(observation, HP, observation.innovation_covariance(HP))
+
+    @classmethod
+    def of_products(cls, observation: Observation, HP: Array, S: Array) -> "Correct":
+        """The same from H P and S, which are given up."""
+        r = observation.r.reshape(*HP.shape[:-1], 1)
+        L = cholesky(S)
+        return cls(
+            observation=observation,
+            L=L,
+            whitened=solve_lower(L, r.copy())[..., 0],
+            Y_T=solve_lower(L, HP),
+        )
 
     def forward(self, P: Array) -> Array:
         """(I - K H) P = P - Y Y^T."""
@@ -173,7 +191,7 @@ class Drop:
     def of(cls, n: int, slots: IntArray) -> "Drop":
         """Let landmarks go, at `slots` of a state of n rows."""
         stays = np.ones(n, bool)
-        stays[MAP].reshape(-1, 3)[slots] = False
+        stays[rows_of(slots)] = False
         return cls(slots=slots, stays=np.flatnonzero(stays))
 
     def forward(self, P: Array) -> Array:
@@ -186,23 +204,3 @@ class Drop:
 
 
 Record: TypeAlias = Linear | Correct | Augment | Drop
-
-
-def diagonal_blocks(P: Array) -> Array:
-    """The 3x3 blocks on the diagonal of (..., 3m, 3m): a view of shape (..., m, 3, 3)."""
-    m = P.shape[-1] // 3
-    blocks: Array = np.einsum("...iaib->...iab", P.reshape(*P.shape[:-2], m, 3, m, 3))
-    return blocks
-
-
-def block_diagonal(blocks: Array) -> Array:
-    """The matrix (..., 3m, 3m) with blocks (..., m, 3, 3) on its diagonal, zeros elsewhere."""
-    size = 3 * blocks.shape[-3]
-    out = np.zeros((*blocks.shape[:-3], size, size))
-    diagonal_blocks(out)[...] = blocks
-    return out
-
-
-def times_blocks(D: Array, X: Array) -> Array:
-    """Each 3x3 block of D, shape (..., m, 3, 3), times its three rows of X, (..., 3m, c)."""
-    return np.asarray((D @ X.reshape(*X.shape[:-2], -1, 3, X.shape[-1])).reshape(X.shape))

@@ -16,12 +16,13 @@ import numpy as np
 from vislam.arrays import Array, BoolArray, IntArray
 from vislam.charts import RIGHT
 from vislam.filters import model
-from vislam.filters.backward import Kept, Later
+from vislam.filters.backward import Kept, Later, Seen
 from vislam.filters.estimate import Estimate
 from vislam.filters.inverse_depth import along_inverse_depth
+from vislam.filters.layout import MAP, POSE, diagonal_blocks
 from vislam.filters.observation import Observation
 from vislam.filters.parts import PAPER, Parts
-from vislam.filters.records import MAP, POSE, Augment, Drop, Linear, Record, diagonal_blocks
+from vislam.filters.records import Augment, Drop, Linear, Record
 from vislam.filters.roster import Retired, slots_of
 from vislam.filters.tape import Tape
 from vislam.gaussian import reuse_freed_memory
@@ -161,12 +162,15 @@ class EkfSlam:
         F = np.asarray(np.linalg.inv(A[..., POSE, :]))
         return Linear(F=F, M=-A[..., MAP, :] @ F)
 
-    def _apply(self, record: Record) -> None:
+    def _apply(self, record: Linear | Augment | Drop) -> None:
+        self._change(record)
+        if self._past is not None:
+            self._past.append(record)
+
+    def _change(self, record: Record) -> None:
         self.P = self.parts.change(record, self.P)
         if self.records is not None:
             self.records.append(record)
-        if self._past is not None:
-            self._past.append(record)
 
     def _correct(self, ids: IntArray, slots: IntArray, readings: Array) -> Innovation:
         """The paper's III.C.5 over the known landmarks; ids (k,), readings (..., k, c)."""
@@ -176,39 +180,70 @@ class EkfSlam:
         front = np.flatnonzero(model.finite(residual))
         slots, W = slots[front], parts.whitening(self.noise, predicted[..., front, :])
         white = model.whitened(W, residual[..., front, :])
-        T_linear, landmarks_linear = parts.linearise(x)
-        observation = self._observation(T_linear, landmarks_linear, slots, W, white)
-        passed = model.predictable(self.calibration, W, observation.S_each)
-        if self.gate is not None:
-            passed &= self._within(self.gate, observation, white)
-        first = correction = parts.correct(observation.only(passed))
-        if parts.iterate is not None:
+        observation = self._observation(*parts.linearise(x), slots, W, white)
+        passed = self._accepted(observation, W, white)
+        observation = observation.only(passed)
+        if parts.iterate is None:
+            delta, whitened = self._update_by(observation)
+        else:
             sighted = readings[..., front, :]
-            correction = parts.iterate(
-                first, lambda delta: self._seen_from(delta, slots, W, sighted).only(passed)
+            first = parts.correct(observation, self.P)
+            last = parts.iterate(
+                first,
+                lambda delta: self._seen_from(delta, slots, W, sighted).only(passed),
+                lambda seen: parts.correct(seen, self.P),
             )
-        self._apply(correction)
-        T, landmarks = parts.retract(parts.chart, x, correction.delta)
-        if parts.transport is not None and len(correction.slots):
+            self._change(last)
+            observation, delta, whitened = last.observation, last.delta, first.whitened
+        if self._past is not None:
+            self._past.append(Seen(observation=observation, delta=delta))
+        T, landmarks = parts.retract(parts.chart, x, delta)
+        if parts.transport is not None and len(observation.slots):
             self._apply(parts.transport(x, T, landmarks))
         x.T, x.landmarks = T, landmarks
 
         kept = front[passed] if passed.ndim == 1 else front
-        whitened = np.zeros(readings.shape)
-        whitened[..., kept, :3] = first.whitened.reshape(*passed.shape[:-1], -1, 3)
-        whitened[..., front, 3:] = white[..., 3:] * passed[..., None]
+        of_all = np.zeros(readings.shape)
+        of_all[..., kept, :3] = whitened.reshape(*passed.shape[:-1], -1, 3)
+        of_all[..., front, 3:] = white[..., 3:] * passed[..., None]
         accepted = np.zeros(readings.shape[:-1], bool)
         accepted[..., front] = passed
-        return Innovation(ids=ids, residual=residual, whitened=whitened, accepted=accepted)
+        return Innovation(ids=ids, residual=residual, whitened=of_all, accepted=accepted)
 
-    def _within(self, gate: float, observation: Observation, white: Array) -> BoolArray:
-        """Which sightings the gate accepts, of whitened residuals (..., k, c)."""
+    def _accepted(self, observation: Observation, W: Array, white: Array) -> BoolArray:
+        """Which sightings are to be used, of whitened residuals (..., k, c): shape (..., k)."""
         squared, dof = np.square(white), white.shape[-1]
-        within = self.parts.gate(squared.sum(axis=-1), gate, dof)  # S >= I: no distance is more
-        if within.all():
-            return within
-        distances = observation.distances() + squared[..., 3:].sum(axis=-1)
-        return self.parts.gate(distances, gate, dof)
+
+        def passed(variances: Array, distances: Array) -> BoolArray:
+            found = model.predictable(self.calibration, W, variances)
+            if self.gate is not None:
+                found &= self.parts.gate(distances, self.gate, dof)
+            return found
+
+        # S >= I, so no distance is more than in its metric
+        surely = passed(observation.variance_bounds(self.P), squared.sum(axis=-1))
+        if surely.all():
+            return surely
+        S_each = observation.innovation_covariance_of_each(self.P)
+        distances = observation.distances(S_each) + squared[..., 3:].sum(axis=-1)
+        return passed(np.einsum("...ii->...i", S_each), distances)
+
+    def _update_by(self, observation: Observation) -> tuple[Array, Array]:
+        """Update the covariance part by part: the same as at once, in fewer operations.
+
+        What was seen in a part is news to the state as the parts before it have left it.
+
+        Returns:
+            K r of the whole, shape (..., n), and the whitened residual, (..., 3k).
+        """
+        delta = np.zeros(self.P.shape[:-1])
+        whitened: list[Array] = []
+        for part in observation.parts():
+            correction = self.parts.correct(part.less(delta) if whitened else part, self.P)
+            self._change(correction)
+            delta += correction.delta
+            whitened.append(correction.whitened)
+        return delta, np.concatenate(whitened, axis=-1)
 
     def _observation(
         self, T: Array, landmarks: Array, slots: IntArray, W: Array, white: Array
@@ -218,9 +253,7 @@ class EkfSlam:
             self.calibration, T, landmarks[..., slots, :]
         )
         rows = W[..., :3, :]
-        return Observation.of(
-            self.P, slots=slots, H_pose=rows @ H_pose, H_map=rows @ H_map, r=white[..., :3]
-        )
+        return Observation(slots=slots, H_pose=rows @ H_pose, H_map=rows @ H_map, r=white[..., :3])
 
     def _seen_from(self, delta: Array, slots: IntArray, W: Array, readings: Array) -> Observation:
         """Known landmarks seen from where delta leads: z - h(x + delta) + H delta, by delta.
@@ -232,19 +265,15 @@ class EkfSlam:
         T, landmarks = parts.retract(parts.chart, x, delta)
         residual = readings - model.predicted(self.calibration, T, landmarks[..., slots, :])
         seen = self._observation(T, landmarks, slots, W, model.whitened(W, residual))
-        H_pose, H_map = seen.H_pose, seen.H_map
         if parts.transport is not None:
             A = parts.transport(x, T, landmarks)
-            H_pose = H_pose @ A.F[..., None, :, :]
+            H_pose, H_map = seen.H_pose @ A.F[..., None, :, :], seen.H_map
             if A.M is not None:
-                of_map = A.M.reshape(*landmarks.shape, 6)
-                H_pose = H_pose + H_map @ of_map[..., slots, :, :]
+                H_pose = H_pose + H_map @ A.M.reshape(*landmarks.shape, 6)[..., slots, :, :]
             if A.D is not None:
                 H_map = H_map @ A.D[..., slots, :, :]
-        f = delta[..., MAP].reshape(landmarks.shape)[..., slots, :, None]
-        by_delta = H_pose @ delta[..., None, POSE, None] + H_map @ f
-        r = seen.r + by_delta[..., 0]
-        return Observation.of(self.P, slots=slots, H_pose=H_pose, H_map=H_map, r=r)
+            seen = replace(seen, H_pose=H_pose, H_map=H_map)
+        return seen.less(-delta)
 
     def _give_birth(self, ids: IntArray, readings: Array) -> None:
         """Enter new landmarks by their first sighting, at the updated pose."""

@@ -12,8 +12,7 @@ from typing import IO
 
 import numpy as np
 
-from vislam.filters.backward import Kept, Past, past
-from vislam.filters.records import Record
+from vislam.filters.backward import Kept, Past
 
 
 class Tape:
@@ -27,13 +26,12 @@ class Tape:
         self._file: IO[bytes] | None = None
         self._pieces: list[int] = []
 
-    def append(self, record: Record | Kept) -> None:
+    def append(self, record: Past) -> None:
         """Put it at the end; what comes before the first state that was kept leads nowhere."""
         if not (self._held or self._pieces or isinstance(record, Kept)):
             return
-        self._held.append(past(record))
-        arrays = (getattr(self._held[-1], name) for name in self._held[-1].__slots__)
-        self._held_bytes += sum(a.nbytes for a in arrays if isinstance(a, np.ndarray))
+        self._held.append(record)
+        self._held_bytes += _size_bytes(record)
         if self._held_bytes > self._piece_bytes:
             self._spool()
 
@@ -53,3 +51,10 @@ class Tape:
         self._pieces.append(self._file.tell())
         pickle.dump(self._held, self._file, protocol=5)
         self._held, self._held_bytes = [], 0
+
+
+def _size_bytes(record: object) -> int:
+    """Of the arrays in a record, and in the records in it."""
+    if isinstance(record, np.ndarray):
+        return record.nbytes
+    return sum(_size_bytes(getattr(record, name)) for name in getattr(record, "__slots__", ()))
