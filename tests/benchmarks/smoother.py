@@ -31,6 +31,7 @@ class Estimated:
         batch: the poses of the batch optimum, shape (T, 4, 4).
         pose_covariance: of the last pose by iSAM2, in (rho, phi) order, shape (6, 6).
         seconds: of the processor, that each frame's update and estimate took, shape (T,).
+        covariance_s: idem, of the pose's covariance besides, which each frame of a filter has.
         batch_s: idem, of the optimum.
     """
 
@@ -39,6 +40,7 @@ class Estimated:
     batch: Array
     pose_covariance: Array
     seconds: Array
+    covariance_s: Array
     batch_s: float
 
 
@@ -100,7 +102,7 @@ class Factors:
 def estimated(dataset: Dataset) -> Estimated:
     """Run iSAM2 at its default parameters, then Levenberg-Marquardt from where it ended."""
     isam, factors = gtsam.ISAM2(), Factors(dataset)
-    everything, online, seconds = gtsam.NonlinearFactorGraph(), [], []
+    everything, online, marks = gtsam.NonlinearFactorGraph(), [], []
     graph, values = factors.start()
     T = dataset.prior.T_world_imu
     for i in range(len(dataset)):
@@ -113,10 +115,12 @@ def estimated(dataset: Dataset) -> Estimated:
         start = time.process_time()
         isam.update(graph, values)
         T = isam.calculateEstimatePose3(X(i)).matrix()
-        seconds.append(time.process_time() - start)
+        estimated_s = time.process_time()
+        P = isam.marginalCovariance(X(i))
+        marks.append((start, estimated_s, time.process_time()))
         online.append(T)
     smoothed = isam.calculateEstimate()
-    P = isam.marginalCovariance(X(len(dataset) - 1))
+    seconds, covariance_s = np.diff(marks).T
     start = time.process_time()
     optimum = gtsam.LevenbergMarquardtOptimizer(everything, smoothed).optimize()
     return Estimated(
@@ -124,7 +128,8 @@ def estimated(dataset: Dataset) -> Estimated:
         smoothed=_poses(smoothed, len(dataset)),
         batch=_poses(optimum, len(dataset)),
         pose_covariance=P[np.ix_(ROTATION_FIRST, ROTATION_FIRST)],
-        seconds=np.array(seconds),
+        seconds=seconds,
+        covariance_s=covariance_s,
         batch_s=time.process_time() - start,
     )
 

@@ -53,12 +53,12 @@ def process_noise(noise: Noise, motion: Twist, dt: float) -> Array:
 
 def valid(calibration: Calibration, readings: Array) -> BoolArray:
     """Which readings can be used, in every run of a batch, shape (..., n, c) to (n,)."""
-    return _in_all_runs(_of(calibration).is_valid(calibration.rig, readings))
+    return in_all_runs(_of(calibration).is_valid(calibration.rig, readings))
 
 
 def unseen(there: BoolArray) -> BoolArray:
     """Which sightings are missing throughout: none at all, shape (..., n, c) to (n,)."""
-    return _in_all_runs(~np.asarray(there.any(axis=-1)))
+    return in_all_runs(~np.asarray(there.any(axis=-1)))
 
 
 def to_imu(T: Array, landmarks: Array) -> Array:
@@ -136,7 +136,7 @@ def whitened(W: Array, residual: Array) -> Array:
 
 def finite(residual: Array) -> BoolArray:
     """Which residuals there are, in every run of a batch, shape (..., k, c) to (k,)."""
-    return _in_all_runs(np.asarray(np.isfinite(residual).all(axis=-1)))
+    return in_all_runs(np.asarray(np.isfinite(residual).all(axis=-1)))
 
 
 def predictable(calibration: Calibration, W: Array, variances: Array) -> BoolArray:
@@ -216,7 +216,7 @@ def constant_prior(
     )
 
 
-def _in_all_runs(holds: BoolArray) -> BoolArray:
+def in_all_runs(holds: BoolArray) -> BoolArray:
     """Whether it holds in every run of a batch, shape (..., n) to (n,)."""
     if holds.ndim == 1:
         return holds

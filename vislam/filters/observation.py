@@ -78,12 +78,21 @@ class Observation:
         distances: Array = np.sum(self.r * solved, axis=-1)
         return distances
 
+    def of_landmarks(self, which: IntArray | slice) -> "Observation":
+        """What some of the landmarks say."""
+        return Observation(
+            slots=self.slots[which],
+            H_pose=self.H_pose[..., which, :, :],
+            H_map=self.H_map[..., which, :, :],
+            r=self.r[..., which, :],
+        )
+
     def only(self, accepted: BoolArray) -> "Observation":
         """What the gate let pass, (..., k): the rest goes, or in a batch says nothing."""
         if accepted.all():
             return self
         if accepted.ndim == 1:
-            return self._some(np.flatnonzero(accepted))
+            return self.of_landmarks(np.flatnonzero(accepted))
         each = accepted[..., None, None]
         return replace(
             self, H_pose=self.H_pose * each, H_map=self.H_map * each, r=self.r * each[..., 0]
@@ -97,15 +106,7 @@ class Observation:
             yield self
         else:
             for some in np.array_split(np.arange(k), count):
-                yield self._some(slice(some[0], some[-1] + 1))
-
-    def _some(self, which: IntArray | slice) -> "Observation":
-        return Observation(
-            slots=self.slots[which],
-            H_pose=self.H_pose[..., which, :, :],
-            H_map=self.H_map[..., which, :, :],
-            r=self.r[..., which, :],
-        )
+                yield self.of_landmarks(slice(some[0], some[-1] + 1))
 
     def times(self, delta: Array) -> Array:
         """H delta, shape (..., n) to (..., k, 3)."""

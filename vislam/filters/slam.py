@@ -214,19 +214,23 @@ class EkfSlam:
         """Which sightings are to be used, of whitened residuals (..., k, c): shape (..., k)."""
         squared, dof = np.square(white), white.shape[-1]
 
-        def passed(variances: Array, distances: Array) -> BoolArray:
+        def pass_(W: Array, variances: Array, distances: Array) -> BoolArray:
             found = model.predictable(self.calibration, W, variances)
             if self.gate is not None:
                 found &= self.parts.gate(distances, self.gate, dof)
             return found
 
-        # S >= I, so no distance is more than in its metric
-        surely = passed(observation.variance_bounds(self.P), squared.sum(axis=-1))
-        if surely.all():
-            return surely
-        S_each = observation.innovation_covariance_of_each(self.P)
-        distances = observation.distances(S_each) + squared[..., 3:].sum(axis=-1)
-        return passed(np.einsum("...ii->...i", S_each), distances)
+        # bounds come first, for nearly all pass by them: no distance is more than by I, as S >= I
+        accepted = pass_(W, observation.variance_bounds(self.P), squared.sum(axis=-1))
+        doubtful = np.flatnonzero(~model.in_all_runs(accepted))
+        if len(doubtful):
+            some = observation.of_landmarks(doubtful)
+            S_each = some.innovation_covariance_of_each(self.P)
+            distances = some.distances(S_each) + squared[..., doubtful, 3:].sum(axis=-1)
+            W_some = W if W.ndim == 2 else W[..., doubtful, :, :]  # one for all, or one for each
+            variances = np.einsum("...ii->...i", S_each)
+            accepted[..., doubtful] = pass_(W_some, variances, distances)
+        return accepted
 
     def _update_by(self, observation: Observation) -> tuple[Array, Array]:
         """Update the covariance part by part: the same as at once, in fewer operations.
