@@ -23,7 +23,7 @@ from tests.benchmarks.smoother import estimated
 DRIVE = Path(__file__).parents[2] / "scenarios" / "drive.yaml"
 #: The smoother by what it is asked for in every frame: its pose alone, or as a filter gives it, the
 #: pose and its covariance. The second is what the cost is judged against.
-SMOOTHER = ("iSAM2", "iSAM2, and how sure")
+SMOOTHER = ("iSAM2", "iSAM2 + covariance")
 FILTERS = ("slam", "slam-transport", "slam-invariant", "slam-iterated", "slam-inverse-depth")
 #: The one that is held to the smoother: made for depths beyond the rule, which this drive has.
 BEST = "slam-inverse-depth"
