@@ -140,6 +140,11 @@ first_estimate_of_the_pose_alone = replacing(linearise=_pose_first_map_now)
 # Update
 
 
+def _at_once(observation: Observation) -> tuple[Observation, ...]:
+    """For a mistake about what is not seen in a frame, of which a part would see less."""
+    return (observation,)
+
+
 def _pose_block_kept(record: Record, P: Array) -> Array:
     P_next = record.forward(P)
     if isinstance(record, Correct):
@@ -219,9 +224,9 @@ def _unseen_landmarks_left(observation: Observation, P: Array) -> Correct:
 
 
 posterior_pose_covariance_not_stored = replacing(change=_pose_block_kept)
-fancy_index_write_into_a_copy = replacing(change=_seen_block_kept)
+fancy_index_write_into_a_copy = replacing(change=_seen_block_kept, split=_at_once)
 covariance_never_symmetrised = replacing(change=_never_symmetrised)
-unseen_landmarks_left = replacing(correct=_unseen_landmarks_left)
+unseen_landmarks_left = replacing(correct=_unseen_landmarks_left, split=_at_once)
 
 
 def _landmarks_moved_with_the_pose(chart: Chart, x: Estimate, delta: Array) -> tuple[Array, Array]:
@@ -264,4 +269,6 @@ def _cross_covariance_left(record: Record, P: Array) -> Array:
 birth_without_pose_uncertainty = replacing(birth=_without_pose)
 birth_without_cross_covariance = replacing(change=_born_uncorrelated)
 cross_covariance_not_propagated = replacing(change=_cross_covariance_left)
-pose_and_map_as_two_filters = replacing(change=_born_uncorrelated, correct=_pose_and_map_apart)
+pose_and_map_as_two_filters = replacing(
+    change=_born_uncorrelated, correct=_pose_and_map_apart, split=_at_once
+)

@@ -89,14 +89,16 @@ def move_by_the_correction(factory: Factory, drive: ShortDrive | None = None) ->
     worst_m, where, updates = 0.0, "start", 0
     for before, after in white_box(factory, Feed.of(drive).streamed()):
         corrections = [r for r in after.records if isinstance(r, Correct) and len(r.whitened)]
-        if len(corrections) != 1 or len(corrections[0].delta) != 6 + 3 * len(before.belief.ids):
-            continue  # several moves, or one of landmarks that entered in the same call
+        slots = [slot for r in corrections for slot in r.observation.slots.tolist()]
+        sizes = {len(r.delta) for r in corrections}
+        if sizes != {6 + 3 * len(before.belief.ids)} or len(slots) > len(set(slots)):
+            continue  # none, some of landmarks that entered in the same call, or several moves
         updates += 1
-        found = _unexplained(before.belief, after, corrections[0].delta)
+        found = _unexplained(before.belief, after, np.sum([r.delta for r in corrections], axis=0))
         if not found <= worst_m:
             worst_m, where = found, after.name
     if not updates:
-        raise NotApplicable("no update made one correction")
+        raise NotApplicable("no update corrected the state that it found")
     return judged(
         worst_m,
         ROUNDING,

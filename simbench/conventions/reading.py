@@ -30,7 +30,7 @@ class Reading:
         frame_errors_px: median distance between predicted and seen features in the left image, for
             each of the fastest frames, infinite where they would be behind the camera; shape (F,).
         all_errors_px: the same for all frames that are compared.
-        turns: whether the frame turns by more than rates are off by (`CLEAR_TURN`), shape (F,).
+        turns: whether the frame turns by more than rates are off by (`Motion.turns`), shape (F,).
     """
 
     meaning: Meaning

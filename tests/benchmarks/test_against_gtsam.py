@@ -156,7 +156,7 @@ def test_cost_and_error_against_isam2(benchmark, report, frames, landmarks, nois
         "ATE m",
         "end m",
         "smoothed ATE m",
-        *(f"than {name}" for name in SMOOTHER),
+        *(f"cheaper than {name}" for name in SMOOTHER),
     )
     report(title, heads, [(n, *t.row, *cheaper[n]) for n, t in tallies.items()])
     over_time = [

@@ -5,6 +5,7 @@ import json
 import re
 import subprocess
 import sys
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -18,11 +19,36 @@ from simbench.checks.scenes import SCENES, drive
 from simbench.cli import main
 from simbench.errors import InputError
 from simbench.filters import FILTERS, resolve
+from tests.vislam.drives import in_parts_of
+from vislam.gaussian import NotPositiveDefinite
 
 SEEN = {name: bug for name, bug in BUGS.items() if bug.audit}
 BLIND = {name: bug for name, bug in BUGS.items() if not bug.audit}
 #: Draws noise of its own: a batch draws other numbers than single runs.
 CHANCE = "pixel-noise-twice"
+
+
+@pytest.mark.parametrize("name", PARTS)
+@pytest.mark.parametrize(
+    "bug",
+    [
+        *("unseen-landmarks-left", "fancy-index-write-into-a-copy"),
+        *("pose-and-map-as-two-filters", "no-pose-jacobian"),
+    ],
+)
+def test_a_mistake_is_the_same_however_many_sightings_a_frame_has(name, bug):
+    def held():
+        with suppress(NotPositiveDefinite):  # as some of them end
+            yield from beliefs(mutant(f"{name}+{bug}"), w)
+
+    w = np.random.default_rng(0).standard_normal(drive("births").scalars)
+    at_once = list(held())
+    with in_parts_of(1):
+        by_parts = list(held())
+    assert len(at_once) > 1
+    for one, other in zip(at_once, by_parts, strict=True):
+        assert np.allclose(one.T_world_imu, other.T_world_imu, rtol=0, atol=1e-9)
+        assert np.allclose(one.joint_covariance, other.joint_covariance, rtol=0, atol=1e-9)
 
 
 def beliefs(factory, w, gate=None):

@@ -3,7 +3,6 @@
 import json
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -25,7 +24,6 @@ from tests.simbench.test_montecarlo import SHORT, short
 from vislam.filters import EkfSlam, slam_transport
 from vislam.lie import se3
 
-SCENARIOS = Path(__file__).parents[2] / "scenarios"
 GATE = 0.99
 FRAMES, SIGHTINGS = 40, 6
 
@@ -314,6 +312,9 @@ def test_a_check_fails_exactly_where_its_statistic_leaves_its_band(seed, scale, 
         assert each.passed == (each.low <= each.statistic <= each.high)
         assert each.p is None or each.passed == (each.p > rate)
         assert bool(each.reason) != each.passed
+
+
+# What the verdict says of it
 
 
 def test_a_filter_that_raises_at_real_noise_only_fails_with_the_call():

@@ -21,6 +21,7 @@ from simbench.run import RunOptions, run
 from simbench.scenario import load
 from simbench.sensors import simulate
 from tests.simbench.checked import without_covariance, wrapped
+from tests.vislam.drives import in_parts_of
 from vislam.filters import EkfSlam, consistent, invariant, inverse_depth
 from vislam.lie import se3
 
@@ -90,6 +91,17 @@ def test_a_filter_that_takes_no_map_is_left_alone():
 def test_an_update_on_another_side_than_the_belief_says_is_seen():
     result = jacobians.move_by_the_correction(mutant("slam+left-retraction"))
     assert result.failure == "mistake"
+
+
+def test_an_update_by_parts_is_one_move():
+    at_once = jacobians.move_by_the_correction(resolve("slam"))
+    with in_parts_of(1):
+        by_parts = jacobians.move_by_the_correction(resolve("slam"))
+        wrong = jacobians.move_by_the_correction(WRONG)
+    assert at_once.passed
+    assert by_parts.passed
+    assert by_parts.reason == at_once.reason
+    assert wrong.failure == "mistake"
 
 
 @pytest.mark.parametrize("bug", ["fused-twice", "birth-fused-again"])

@@ -11,6 +11,10 @@ from hypothesis.extra.numpy import arrays
 from tests.oracles.dense_ekf import DenseEkf
 from tests.vislam.drives import drive, feed_together, in_parts_of
 from vislam.filters import EkfSlam
+from vislam.filters.backward import Kept, Seen
+from vislam.filters.estimate import Estimate
+from vislam.filters.observation import Observation
+from vislam.filters.tape import Tape
 
 schedules = st.tuples(st.integers(1, 8), st.integers(1, 6)).flatmap(
     lambda shape: arrays(bool, shape)
@@ -118,6 +122,24 @@ def test_records_that_went_to_a_file_give_the_same_map():
     a, b = held.finish().final, spooled.finish().final
     assert np.array_equal(a.landmarks, b.landmarks)
     assert np.array_equal(a.landmark_covariances, b.landmark_covariances)
+
+
+def test_what_was_seen_counts_against_the_memory_too():
+    """200 sightings in a state of 6 rows take 50 kB, the state's covariance 288 bytes."""
+    k = 200
+    seen = Observation(
+        slots=np.arange(k),
+        H_pose=np.zeros((k, 3, 6)),
+        H_map=np.zeros((k, 3, 3)),
+        r=np.zeros((k, 3)),
+    )
+    x = Estimate.of(np.eye(4), np.empty((0, 3)), np.eye(4))
+    tape = Tape(60_000)
+    tape.append(Kept(ids=np.arange(0), slots=np.arange(0), x=x, P=np.eye(6)))
+    for _ in range(5):
+        tape.append(Seen(observation=seen, delta=np.zeros(6)))
+    assert len(tape._pieces) == 5
+    assert [type(record) for record in reversed(tape)] == [*5 * [Seen], Kept]
 
 
 @pytest.mark.parametrize("part", [2, 50])

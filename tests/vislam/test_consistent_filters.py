@@ -11,6 +11,9 @@ from scipy.stats import chi2
 from simbench.filters import resolve
 from tests.vislam.drives import CALIBRATION, PRIOR_SIGMA, T_IMU_CAM, Drive, drive, feed_together
 from vislam.camera import project
+from vislam.filters import EkfSlam
+from vislam.filters.iterated import ITERATED
+from vislam.filters.records import Correct
 from vislam.lie import se3
 from vislam.point import PointSensor
 from vislam.types import Belief, Calibration, Noise, PointFrame, StereoFrame, Task, Twist
@@ -141,6 +144,22 @@ def test_a_batch_of_runs_equals_the_runs_one_by_one(name):
         assert together.landmarks[k] == pytest.approx(one.landmarks, abs=tolerance)
         P = np.broadcast_to(together.landmark_covariances, (3, *one.landmark_covariances.shape))[k]
         assert pytest.approx(one.landmark_covariances, abs=tolerance) == P
+
+
+def test_every_step_of_an_iterated_update_is_by_the_filters_own_correction():
+    made = []
+
+    def correct(observation, P):
+        made.append(Correct.of(observation, P))
+        return made[-1]
+
+    d = drive(np.ones((2, 3), bool), seed=1)
+    slam = EkfSlam(d.task, replace(ITERATED, correct=correct))
+    slam.records = []
+    d.feed(slam)
+    used = [record for record in slam.records if isinstance(record, Correct)]
+    assert len(made) > len(used) == 2
+    assert all(any(record is each for each in made) for record in used)
 
 
 def test_an_iterated_update_is_the_plain_one_where_the_model_is_linear():

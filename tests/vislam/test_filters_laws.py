@@ -17,7 +17,8 @@ from vislam.filters.observation import Observation
 from vislam.filters.records import Correct
 from vislam.gaussian import NotPositiveDefinite, covariance_fault
 from vislam.lie import se3
-from vislam.types import Calibration, Noise, StereoFrame
+from vislam.point import PointSensor
+from vislam.types import Belief, Calibration, Noise, PointFrame, StereoFrame, Task
 
 FILTERS = [DeadReckoning, Mapping, Mapping.on_truth, EkfSlam]
 schedules = arrays(bool, (6, 5))
@@ -279,3 +280,23 @@ def test_a_prior_of_other_numbers_is_one_of_floats(kind):
             filter_.predict(*d.twists[0])
             covariances.append(filter_.belief().pose_covariance)
         np.testing.assert_allclose(covariances[1], covariances[0], rtol=1e-12)
+
+
+def test_each_sighting_in_doubt_is_judged_by_its_own_noise():
+    """The second landmark is a hundred times nearer, its place unsure by 5 m of the range of 20."""
+    points = np.array([[10.0, 0, 0], [0.1, 0, 0]])
+    task = Task(
+        calibration=Calibration(rig=PointSensor(range_m=(0.0, 20.0)), T_imu_cam=np.eye(4)),
+        noise=Noise(process_model="twist", process=np.eye(6), point_share=0.02, point_floor_m=1e-4),
+        prior=Belief(
+            T_world_imu=np.eye(4),
+            pose_covariance=np.zeros((6, 6)),
+            ids=np.arange(2),
+            landmarks=points,
+            landmark_covariances=np.stack([1e-6 * np.eye(3), 25.0 * np.eye(3)]),
+        ),
+        gate=0.99,
+    )
+    seen = points + np.array([[0.0, 0, 0], [1.0, 0, 0]])
+    frame = PointFrame(time_s=0.0, ids=np.arange(2), points=seen, last=np.zeros(2, bool))
+    assert EkfSlam(task).update(frame).accepted.tolist() == [True, True]

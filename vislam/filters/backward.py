@@ -61,7 +61,7 @@ class Kept:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Seen:
-    """Of a frame's update, what the way back needs: an eighth of its size.
+    """Of a frame's update, what the way back needs: an eighth of what its corrections hold.
 
     Attributes:
         observation: what was used of the frame.

@@ -13,9 +13,9 @@ from vislam.arrays import Array, BoolArray, IntArray
 from vislam.filters.layout import MAP, POSE, rows_of
 from vislam.gaussian import add_product, transposed
 
-#: Sightings that are taken in at once. An update by m rows costs m^3 in its factor and m^2 n in the
-#: solve, by parts of them the less; what is left is the product, m n^2 in any case. At 60
-#: sightings that saves a sixth of the time, at 100 a quarter; below 50 nothing.
+#: Sightings that are taken in at once, but for an iterated update. An update by m rows costs m^3
+#: in its factor and m^2 n in the solve, by parts of them the less; what is left is the product,
+#: m n^2 in any case. At 100 sightings that saves a quarter of the time, below 50 nothing.
 PART = 50
 
 

@@ -1,7 +1,8 @@
 """The formulas of which EKF-SLAM is made, each replaceable."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from typing import TypeAlias
 
 from vislam.arrays import Array, BoolArray
 from vislam.charts import RIGHT, Chart
@@ -27,6 +28,12 @@ def added(chart: Chart, x: Estimate, delta: Array) -> tuple[Array, Array]:
     return chart.retract(x.T, x.landmarks, delta)
 
 
+#: (first correction, observation by error vector, correction by observation) -> last correction.
+Iteration: TypeAlias = Callable[
+    [Correct, Callable[[Array], Observation], Callable[[Observation], Correct]], Correct
+]
+
+
 @dataclass(frozen=True, slots=True)
 class Parts:
     """The formulas of the recursion. A variant of the filter replaces some, and nothing else.
@@ -44,8 +51,9 @@ class Parts:
         valid: which features can be used.
         observation_jacobians: of the readings by pose and landmark.
         whitening: of residuals, by the readings as predicted.
-        gate: which sightings to accept.
-        correct: the update that an observation makes of a state of this covariance.
+        gate: which sightings to accept; asked of bounds first (`vislam.filters.gating`).
+        split: the parts in which an observation is taken in.
+        correct: the update that a part of an observation makes of a state of this covariance.
         birth: new landmarks, their Jacobian by the pose's error, their own covariance.
         iterate: the last correction, from the first, from the sightings linearised where an error
             vector leads, and from the update that they make; None where the first is the last.
@@ -66,16 +74,12 @@ class Parts:
     )
     whitening: Callable[[Noise, Array], Array] = model.whitening
     gate: Callable[[Array, float, int], BoolArray] = model.gate
+    split: Callable[[Observation], Iterable[Observation]] = Observation.parts
     correct: Callable[[Observation, Array], Correct] = Correct.of
     birth: Callable[[Calibration, Noise, Array, Array, Array], tuple[Array, Array, Array]] = (
         model.inverse_observation
     )
-    iterate: (
-        Callable[
-            [Correct, Callable[[Array], Observation], Callable[[Observation], Correct]], Correct
-        ]
-        | None
-    ) = None
+    iterate: Iteration | None = None
     transport: Callable[[Estimate, Array, Array], Linear] | None = None
     change: Callable[[Record, Array], Array] = as_recorded
 

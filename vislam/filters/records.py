@@ -2,7 +2,8 @@
 
 The state is x = (pose, landmarks). Every change of its covariance P is one of these, applied by
 `forward`, or in the place of P by `onto`. What judges a filter from inside reads the same records
-that moved it, and so does the backward pass (`vislam.filters.backward`).
+that moved it. So does the backward pass (`vislam.filters.backward`), but for updates: it takes all
+that was observed in a frame as one.
 """
 
 from dataclasses import dataclass

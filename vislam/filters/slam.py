@@ -13,11 +13,12 @@ from functools import partial
 
 import numpy as np
 
-from vislam.arrays import Array, BoolArray, IntArray
+from vislam.arrays import Array, IntArray
 from vislam.charts import RIGHT
 from vislam.filters import model
 from vislam.filters.backward import Kept, Later, Seen
 from vislam.filters.estimate import Estimate
+from vislam.filters.gating import Gate
 from vislam.filters.inverse_depth import along_inverse_depth
 from vislam.filters.layout import MAP, POSE, diagonal_blocks
 from vislam.filters.observation import Observation
@@ -50,10 +51,11 @@ class EkfSlam:
         takes part in no update before it is sighted.
         """
         reuse_freed_memory()
-        self.calibration, self.noise, self.gate = task.calibration, task.noise, task.gate
+        self.calibration, self.noise = task.calibration, task.noise
         if task.inverse_depth:
             parts = along_inverse_depth(parts)
         self.parts = parts
+        self._gate = Gate(calibration=task.calibration, probability=task.gate, within=parts.gate)
         self.records: list[Record] | None = None
         self._past = Tape(task.memory_bytes) if task.memory_bytes else None
         self._retire_after, self._smooth = task.retire_after, task.smooth
@@ -163,11 +165,13 @@ class EkfSlam:
         return Linear(F=F, M=-A[..., MAP, :] @ F)
 
     def _apply(self, record: Linear | Augment | Drop) -> None:
+        """Change the covariance, and note it for the way back."""
         self._change(record)
         if self._past is not None:
             self._past.append(record)
 
     def _change(self, record: Record) -> None:
+        """Change the covariance alone: the way back takes a frame's update as one."""
         self.P = self.parts.change(record, self.P)
         if self.records is not None:
             self.records.append(record)
@@ -181,7 +185,7 @@ class EkfSlam:
         slots, W = slots[front], parts.whitening(self.noise, predicted[..., front, :])
         white = model.whitened(W, residual[..., front, :])
         observation = self._observation(*parts.linearise(x), slots, W, white)
-        passed = self._accepted(observation, W, white)
+        passed = self._gate.accepted(observation, self.P, W, white)
         observation = observation.only(passed)
         if parts.iterate is None:
             delta, whitened = self._update_by(observation)
@@ -203,46 +207,24 @@ class EkfSlam:
         x.T, x.landmarks = T, landmarks
 
         kept = front[passed] if passed.ndim == 1 else front
-        of_all = np.zeros(readings.shape)
-        of_all[..., kept, :3] = whitened.reshape(*passed.shape[:-1], -1, 3)
-        of_all[..., front, 3:] = white[..., 3:] * passed[..., None]
+        all_whitened = np.zeros(readings.shape)
+        all_whitened[..., kept, :3] = whitened.reshape(*passed.shape[:-1], -1, 3)
+        all_whitened[..., front, 3:] = white[..., 3:] * passed[..., None]
         accepted = np.zeros(readings.shape[:-1], bool)
         accepted[..., front] = passed
-        return Innovation(ids=ids, residual=residual, whitened=of_all, accepted=accepted)
-
-    def _accepted(self, observation: Observation, W: Array, white: Array) -> BoolArray:
-        """Which sightings are to be used, of whitened residuals (..., k, c): shape (..., k)."""
-        squared, dof = np.square(white), white.shape[-1]
-
-        def pass_(W: Array, variances: Array, distances: Array) -> BoolArray:
-            found = model.predictable(self.calibration, W, variances)
-            if self.gate is not None:
-                found &= self.parts.gate(distances, self.gate, dof)
-            return found
-
-        # bounds come first, for nearly all pass by them: no distance is more than by I, as S >= I
-        accepted = pass_(W, observation.variance_bounds(self.P), squared.sum(axis=-1))
-        doubtful = np.flatnonzero(~model.in_all_runs(accepted))
-        if len(doubtful):
-            some = observation.of_landmarks(doubtful)
-            S_each = some.innovation_covariance_of_each(self.P)
-            distances = some.distances(S_each) + squared[..., doubtful, 3:].sum(axis=-1)
-            W_some = W if W.ndim == 2 else W[..., doubtful, :, :]  # one for all, or one for each
-            variances = np.einsum("...ii->...i", S_each)
-            accepted[..., doubtful] = pass_(W_some, variances, distances)
-        return accepted
+        return Innovation(ids=ids, residual=residual, whitened=all_whitened, accepted=accepted)
 
     def _update_by(self, observation: Observation) -> tuple[Array, Array]:
         """Update the covariance part by part: the same as at once, in fewer operations.
 
-        What was seen in a part is news to the state as the parts before it have left it.
+        Each part is an update of the state that the earlier parts left.
 
         Returns:
             K r of the whole, shape (..., n), and the whitened residual, (..., 3k).
         """
         delta = np.zeros(self.P.shape[:-1])
         whitened: list[Array] = []
-        for part in observation.parts():
+        for part in self.parts.split(observation):
             correction = self.parts.correct(part.less(delta) if whitened else part, self.P)
             self._change(correction)
             delta += correction.delta
