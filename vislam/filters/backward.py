@@ -20,7 +20,6 @@ from vislam.filters.estimate import Estimate
 from vislam.filters.layout import (
     MAP,
     POSE,
-    block_diagonal,
     diagonal_blocks,
     rows_of,
     times_blocks,
@@ -147,22 +146,22 @@ class Later:
         """Integrate out v ~ N(0, I) of e + N root v, N the pose's columns by default: rank 6."""
         y, Y = self.vector, self.information
         if N is None:
-            self._less(y[..., POSE], Y[..., POSE, :], Y[..., POSE, POSE], root)
+            M_T = transposed(root)
+            y_M, Y_M = _times(M_T, y[..., POSE]), M_T @ Y[..., POSE, :]
+            self._less(y_M, Y_M, Y_M[..., POSE] @ root)
         else:
-            N_T = transposed(N)
-            Y_N = N_T @ Y
-            self._less(_times(N_T, y), Y_N, Y_N @ N, root)
+            M = N @ root
+            Y_M = transposed(M) @ Y
+            self._less(_times(transposed(M), y), Y_M, Y_M @ M)
 
-    def _less(self, y_N: Array, Y_N: Array, info: Array, root: Array) -> None:
-        """Take off what root v hides, of which y_N and Y_N are the rows, and info the square.
+    def _less(self, y_M: Array, Y_M: Array, square: Array) -> None:
+        """Take off what v hides in e + M v, given M^T y, M^T Y and M^T Y M, which is given up.
 
-        With L L^T = I + root^T info root and Z = L^-1 root^T Y_N: Z^T Z.
+        With L L^T = I + M^T Y M and Z = L^-1 M^T Y: Z^T Z.
         """
-        root_T = transposed(root)
-        S = root_T @ info @ root
-        np.einsum("...ii->...i", S)[...] += 1
-        rows = np.concatenate([root_T @ Y_N, _times(root_T, y_N)[..., None]], axis=-1)
-        Z = solve_lower(cholesky(S), rows)
+        np.einsum("...ii->...i", square)[...] += 1
+        rows = np.concatenate([Y_M, y_M[..., None]], axis=-1)
+        Z = solve_lower(cholesky(square), rows)
         self.vector[...] -= _times(transposed(Z[..., :-1]), Z[..., -1])
         add_product(self.information, -transposed(Z[..., :-1]), transposed(Z[..., :-1]))
 
@@ -188,8 +187,10 @@ class Later:
         y, Y, G = self.vector, self.information, record.G
         old = slice(0, y.shape[-1] - G.shape[-2])
         new = slice(old.stop, None)
-        root = block_diagonal(square_root(record.R))
-        self._less(y[..., new], Y[..., new, :], Y[..., new, new], root)
+        root_T = transposed(square_root(record.R))
+        y_M, Y_M = times_blocks(root_T, y[..., new, None]), times_blocks(root_T, Y[..., new, :])
+        square = transposed(times_blocks(root_T, transposed(Y_M[..., new])))
+        self._less(y_M[..., 0], Y_M, square)
         y[..., POSE] += _times(transposed(G), y[..., new])
         Y[..., POSE] += Y[..., new] @ G
         Y[..., POSE, :] += transposed(G) @ Y[..., new, :]
