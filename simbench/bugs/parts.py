@@ -199,18 +199,18 @@ class _TwoCorrections(Correct):
 
 def _pose_and_map_apart(observation: Observation, P: Array) -> Correct:
     HP = observation.of_state(P)
-    of_pose, of_map = HP.copy(), HP.copy()
-    of_pose[..., MAP], of_map[..., POSE] = 0, 0
-    pose, both = (
+    HP_pose, HP_map = HP.copy(), HP.copy()
+    HP_pose[..., MAP], HP_map[..., POSE] = 0, 0
+    pose, of_map = (
         Correct.of_products(observation, part, observation.innovation_covariance(part))
-        for part in (of_pose, of_map)
+        for part in (HP_pose, HP_map)
     )
     return _TwoCorrections(
         observation=observation,
         L=pose.L,
         whitened=pose.whitened,
         Y_T=pose.Y_T,
-        of_map=both,
+        of_map=of_map,
     )
 
 

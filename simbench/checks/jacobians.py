@@ -88,11 +88,12 @@ def move_by_the_correction(factory: Factory, drive: ShortDrive | None = None) ->
     """
     worst_m, where, updates = 0.0, "start", 0
     for before, after in white_box(factory, Feed.of(drive).streamed()):
-        corrections = [r for r in after.records if isinstance(r, Correct) and len(r.whitened)]
+        corrections = [r for r in after.records if isinstance(r, Correct)]
         slots = [slot for r in corrections for slot in r.observation.slots.tolist()]
         sizes = {len(r.delta) for r in corrections}
-        if sizes != {6 + 3 * len(before.belief.ids)} or len(slots) > len(set(slots)):
-            continue  # none, some of landmarks that entered in the same call, or several moves
+        whole = sizes == {6 + 3 * len(before.belief.ids)}  # of no landmark that has just entered
+        if not (slots and whole and len(slots) == len(set(slots))):  # twice: several moves
+            continue
         updates += 1
         found = _unexplained(before.belief, after, np.sum([r.delta for r in corrections], axis=0))
         if not found <= worst_m:

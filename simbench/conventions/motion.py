@@ -7,7 +7,7 @@ import numpy as np
 from simbench.dataset import Sightings
 from simbench.noise import white_noise
 from vislam.arrays import Array, BoolArray, IntArray
-from vislam.camera import MIN_DEPTH_M, StereoRig, is_valid, triangulate
+from vislam.camera import StereoRig, is_valid, project_or_nan, triangulate
 from vislam.lie import se3
 
 #: Frames that are compared, and those of them that are shown: the ones that turn fastest, where the
@@ -100,10 +100,9 @@ class Motion:
     def _errors(self, steps: Array) -> Array:
         """The same for given motions of the camera, shape (F, 4, 4)."""
         of_point = np.repeat(steps, np.diff(self.start), axis=0)
-        p = np.einsum("nij,nj->ni", of_point[:, :3, :3], self.points) + of_point[:, :3, 3]
-        depth = np.maximum(p[:, 2:], MIN_DEPTH_M)
-        focal, centre = np.diag(self.rig.K)[:2], self.rig.K[:2, 2]
-        errors = np.linalg.norm(focal * p[:, :2] / depth + centre - self.next_px, axis=1)
-        errors[p[:, 2] <= MIN_DEPTH_M] = np.inf
+        p = se3.apply(of_point, self.points[:, None])[:, 0]
+        left_px = project_or_nan(self.rig, p)[:, :2]
+        errors = np.linalg.norm(left_px - self.next_px, axis=1)
+        errors[np.isnan(errors)] = np.inf
         parts = np.split(errors, self.start[1:-1])[: len(steps)]
         return np.array([np.median(part) for part in parts])
