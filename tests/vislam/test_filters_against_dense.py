@@ -12,6 +12,7 @@ from tests.oracles.dense_ekf import DenseEkf
 from tests.vislam.drives import Drive, drive, in_parts_of
 from vislam.filters import DeadReckoning, EkfSlam, Mapping
 from vislam.filters.observation import PART
+from vislam.filters.records import Correct
 from vislam.types import Belief, Noise
 
 TOLERANCE = 1e-9
@@ -76,7 +77,13 @@ def test_part_by_part_each_sighting_has_the_same_whitened_residual():
 
 
 def test_more_sightings_than_are_taken_in_at_once():
-    assert_equal_all_along(drive(np.ones((3, PART + 7), bool), gate=0.9))
+    d = drive(np.ones((3, PART + 7), bool))
+    slam = EkfSlam(d.task)
+    slam.records = []
+    d.feed(slam)
+    sizes = [len(r.observation.slots) for r in slam.records if isinstance(r, Correct)]
+    assert sizes == [0, *2 * [(PART + 8) // 2, (PART + 7) // 2]]
+    assert_equal_all_along(d)
 
 
 @given(data=st.data(), seen=schedules, seed=st.integers(0, 99))
